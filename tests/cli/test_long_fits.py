@@ -147,7 +147,7 @@ def test_a_second_signal_ends_it_at_once(folder):
     running.send_signal(signal.SIGINT)
     running.communicate(timeout=5)
     assert running.returncode == 130
-    assert len(read_journal(Path("out")).lines_of(1)) >= 4
+    assert len(read_journal(Path("out")).of(1).lines) >= 4
 
 
 @pytest.mark.slow

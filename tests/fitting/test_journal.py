@@ -180,7 +180,7 @@ def test_a_full_disk_ends_no_fit_and_loses_no_line(tmp_path, monkeypatch, room):
     assert numbers(result) == plain
     assert len(complaints) == 1
     assert "No space left" in complaints[0]
-    kept = read_journal(tmp_path).lines_of(1)
+    kept = read_journal(tmp_path).of(1).lines
     assert [item["number"] for line in kept for item in line["history"]] == list(
         range(plain["iterations"] + 1)
     )
@@ -192,7 +192,7 @@ def test_a_disk_that_stays_full_leaves_what_it_took(tmp_path, monkeypatch):
         patched.setattr(os, "write", disk_with({"room": 2_000}))
         plain = numbers(journalled(tmp_path, setup))
     assert (tmp_path / JOURNAL).stat().st_size <= 2_000
-    assert len(read_journal(tmp_path).lines_of(1)) >= 1
+    assert len(read_journal(tmp_path).of(1).lines) >= 1
     assert numbers(journalled(tmp_path, setup)) == plain
 
 

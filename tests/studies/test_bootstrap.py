@@ -10,13 +10,7 @@ from line import FREE, SIGMA, Line, columns
 import giajax
 from giajax import Bootstrap, InputError
 from giajax.noise import ChannelNoise
-from giajax.studies import (
-    Residuals,
-    _bootstrap,
-    binomial_interval,
-    block_length,
-    repeated,
-)
+from giajax.studies import _bootstrap
 
 SIZE = 96
 
@@ -131,7 +125,7 @@ def test_blocks_are_rows_that_follow_each_other():
     """Residuals that are the number of their row: channels stay together, and so do neighbours."""
     rows = np.arange(30.0)
     rest = np.stack([rows, rows + 100], axis=-1)
-    source = Residuals(("a", "b"), np.zeros((30, 2)), rest, 5)
+    source = _bootstrap.Residuals(("a", "b"), np.zeros((30, 2)), rest, 5)
     again = source.again(np.random.default_rng(0))
     np.testing.assert_array_equal(again["b"] - again["a"], 100)
     for block in again["a"].reshape(6, 5):
@@ -141,7 +135,9 @@ def test_blocks_are_rows_that_follow_each_other():
 
     holes = rest.copy()
     holes[3:9, 1] = np.nan
-    filled = Residuals(("a", "b"), np.zeros((30, 2)), holes, 5).again(np.random.default_rng(1))
+    filled = _bootstrap.Residuals(("a", "b"), np.zeros((30, 2)), holes, 5).again(
+        np.random.default_rng(1)
+    )
     np.testing.assert_array_equal(np.isnan(filled["b"]), np.isnan(holes[:, 1]))
 
 
@@ -152,18 +148,18 @@ def test_blocks_are_longer_where_residuals_remember():
 
     run = recorded(1)
     white = np.random.default_rng(0).normal(size=(40, 1))
-    assert block_length(run, white, [ChannelNoise(1.0)]) == 4
+    assert _bootstrap.block_length(run, white, [ChannelNoise(1.0)]) == 4
     step, rho = run.times[1], 0.8
     noise = ChannelNoise(0.0, 1.0, -step / np.log(rho))
     best = (6 * rho**2 / (1 - rho**2) ** 2 * 40) ** (1 / 3)
-    assert block_length(run, white, [noise]) == min(int(np.ceil(best)), 13)
+    assert _bootstrap.block_length(run, white, [noise]) == min(int(np.ceil(best)), 13)
     walk = np.cumsum(white, axis=0)
-    assert block_length(run, walk - walk.mean(), [ChannelNoise(1.0)]) == 13
+    assert _bootstrap.block_length(run, walk - walk.mean(), [ChannelNoise(1.0)]) == 13
 
 
 @pytest.mark.quick
 def test_what_few_repetitions_say():
-    one = repeated(1.0, 0.5, "m", [1.1], [0.2])
+    one = _bootstrap.repeated(1.0, 0.5, "m", [1.1], [0.2])
     assert (one.spread, one.bias, one.percentile, one.covered, one.asked) == (
         None,
         None,
@@ -171,12 +167,12 @@ def test_what_few_repetitions_say():
         1,
         1,
     )
-    none = repeated(1.0, None, "m", [1.0, 2.0], [None, None])
+    none = _bootstrap.repeated(1.0, None, "m", [1.0, 2.0], [None, None])
     assert (none.ratio, none.coverage, none.asked) == (None, None, 0)
     assert none.spread == pytest.approx(np.sqrt(0.5))
     # By the tables of Clopper and Pearson: 8 of 10, 10 of 10.
-    assert binomial_interval(8, 10) == pytest.approx((0.4439, 0.9748), abs=1e-4)
-    assert binomial_interval(10, 10) == pytest.approx((0.6915, 1.0), abs=1e-4)
+    assert _bootstrap.binomial_interval(8, 10) == pytest.approx((0.4439, 0.9748), abs=1e-4)
+    assert _bootstrap.binomial_interval(10, 10) == pytest.approx((0.6915, 1.0), abs=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ from test_suspects import FREE, fitted
 from giajax import InputError, fit, ladder, suspects
 from giajax.noise import by_second_differences
 from giajax.recordings import split_run
-from giajax.studies import Step, all_axes, best_step, name_of, refit, turned_back
-from giajax.studies._stepwise import _spare
+from giajax.studies import Step, refit
+from giajax.studies._stepwise import _spare, all_axes, best_step, name_of, turned_back
 
 TIGHT = 4
 

@@ -19,7 +19,6 @@ from giajax.studies import (
     misfit,
     multi_start,
     solve_from_starts,
-    start_values,
 )
 from toy_model import TRUTH, Decay, height, run
 
@@ -120,7 +119,7 @@ def test_starts_fill_priors_and_bounds_and_more_have_the_same_first_ones():
         seed=4,
     )
     few, many = (
-        start_values(dataclasses.replace(setup, settings=each))
+        _multi_start.start_values(dataclasses.replace(setup, settings=each))
         for each in (setup.settings.model_copy(update={"starts": count}) for count in (6, 65))
     )
     assert many[:6] == few

@@ -16,14 +16,12 @@ from giajax.report import draws_file, posterior_files
 from giajax.studies import (
     Fitted,
     as_arviz,
-    bands,
     check_posterior,
-    doubts,
     mixing,
     optimum_of,
     posterior,
 )
-from giajax.studies._posterior import _within
+from giajax.studies._posterior import _within, bands, doubts
 from toy_model import TRUTH, Decay, run
 
 # Near the optimum of 0.699, which a density that knew no bound would hardly see.

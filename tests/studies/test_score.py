@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from giajax.studies import alike, projected, score
-from giajax.studies._score import Table
+from giajax.studies._score import Table, alike, projected, score
 
 pytestmark = pytest.mark.quick
 FREE = (-np.inf, np.inf)

@@ -193,7 +193,7 @@ def test_a_journal_of_a_fit_that_was_cut_off_is_not_written_over(path):
 
     with pytest.raises(CrashError), ready.open_journal(_folder(ready)) as journal:
         ready.run(crash, journal=journal.of)
-    assert len(read_journal(_folder(ready)).lines_of(1)) == 3
+    assert len(read_journal(_folder(ready)).of(1).lines) == 3
     with (
         pytest.raises(InputError, match="cut off: go on with giajax fit --resume"),
         ready.open_journal(_folder(ready)),

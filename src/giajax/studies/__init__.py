@@ -3,9 +3,6 @@
 from ._bootstrap import (
     Bootstrap as Bootstrap,
     Repeated as Repeated,
-    Residuals as Residuals,
-    binomial_interval as binomial_interval,
-    block_length as block_length,
     bootstrap as bootstrap,
     repeated as repeated,
 )
@@ -46,8 +43,6 @@ from ._posterior_records import (
     Posterior as Posterior,
     PosteriorSummary as PosteriorSummary,
     as_arviz as as_arviz,
-    bands as bands,
-    doubts as doubts,
     mixing as mixing,
 )
 from ._profile import profile as profile
@@ -62,13 +57,11 @@ from ._profile_records import (
 from ._refit import (
     Fitted as Fitted,
     StudyRecord as StudyRecord,
-    fit_key as fit_key,
     optimum_of as optimum_of,
     refit as refit,
     with_fitted_state as with_fitted_state,
     with_fitted_states as with_fitted_states,
 )
-from ._score import alike as alike, projected as projected, score as score
 from ._sensitivity import (
     Sensitivity as Sensitivity,
     body_of as body_of,
@@ -78,25 +71,21 @@ from ._sensitivity import (
 )
 from ._starts import (
     has_earlier_starts as has_earlier_starts,
+    interrupted as interrupted,
     misfit as misfit,
-    start_values as start_values,
 )
 from ._stepwise import (
     TRIES as TRIES,
     Step as Step,
     StepwiseSelection as StepwiseSelection,
-    best_step as best_step,
     ladder as ladder,
 )
 from ._suspects import (
     LEVEL as LEVEL,
     Suspects as Suspects,
-    all_axes as all_axes,
     linearised as linearised,
-    name_of as name_of,
     promising as promising,
     suspects as suspects,
-    turned_back as turned_back,
 )
 from ._systematic import (
     check_uncertainty as check_uncertainty,

@@ -16,7 +16,7 @@ from ..runtime.arrays import Float
 from ..runtime.execution import Execution
 from ..runtime.text import InputError
 from ..schema.parameters import get
-from ._refit import Fitted, StudyRecord, optimum_of, refit
+from ._refit import Fitted, StudyRecord, end_values, optimum_of, refit
 
 Method = Literal["parametric", "block"]
 
@@ -104,10 +104,6 @@ class Bootstrap(
     notes: tuple[str, ...]
     fitted: dict[str, float]
 
-    def is_of(self, result: FitResult) -> bool:
-        """Whether it is of this fit, and not of another one that was in its place."""
-        return self.fitted == {path: float(one.value) for path, one in result.free.items()}
-
 
 LEVEL = 0.95
 
@@ -121,25 +117,19 @@ def repeated(
 ) -> Repeated:
     """What repetitions say of a parameter.
 
-    Arguments:
-        value: that made their data.
-        standard_error: that the result states; None where it states none.
-        unit: SI.
-        values: where the repetitions ended.
-        reaches: half of the 95 % interval of each, None of one without; None where nothing is to be
-            said of coverage.
+    `reaches` are half of the 95 % interval of each, None of one without; it is None where nothing
+    is to be said of coverage.
     """
     found = np.asarray(values, dtype=float)
     count = len(found)
-    bias = bias_error = spread = ratio = ratio_error = None
-    percentile = basic = None
+    bias = bias_error = spread = ratio = ratio_error = percentile = basic = None
     if count > 1:
         spread = float(np.std(found, ddof=1))
         low, high = map(float, np.quantile(found, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]))
         percentile, basic = (low, high), (2 * value - high, 2 * value - low)
     if spread is not None and standard_error:
         bias = (float(np.mean(found)) - value) / standard_error
-        bias_error = spread / np.sqrt(count) / standard_error
+        bias_error = float(spread / np.sqrt(count) / standard_error)
         ratio = spread / standard_error
         ratio_error = ratio / float(np.sqrt(2 * (count - 1)))
     covered = coverage = interval = None
@@ -154,7 +144,7 @@ def repeated(
         standard_error=standard_error,
         unit=unit,
         bias=bias,
-        bias_error=None if bias_error is None else float(bias_error),
+        bias_error=bias_error,
         spread=spread,
         ratio=ratio,
         ratio_error=ratio_error,
@@ -211,14 +201,7 @@ class Residuals:
         noise: Mapping[str, ChannelNoise],
         inflation: float,
     ) -> Self:
-        """The residuals of a run.
-
-        Arguments:
-            run: as it was recorded.
-            predicted: by channel, SI.
-            noise: that was fitted, by channel.
-            inflation: how much smaller residuals are than the noise, because parameters follow it.
-        """
+        """Those of a run, which are `inflation` smaller than the noise: parameters follow it."""
         channels = tuple(run.observations)
         table = np.stack([predicted[name] for name in channels], axis=-1)
         recorded = np.stack([run.observations[name] for name in channels], axis=-1)
@@ -258,11 +241,6 @@ def block_length(
     |k| R(k) and g that of R(k) (Politis and White 2004, "Automatic block-length selection", for
     circular blocks); here of the channel that remembers longest, by its fitted noise, or as an
     AR(1) of its residuals where that is white.
-
-    Arguments:
-        run: gives the times of the samples.
-        residuals: of the channels, NaN where nothing was measured.
-        noises: that were fitted, of the channels.
     """
     count = len(residuals)
     step = 1.0 if run.times is None else float(np.median(np.diff(run.times)))
@@ -291,34 +269,19 @@ def _lag_one(values: Float[np.ndarray, " sample"]) -> float:
 
 
 def replicates(
-    fitted: Fitted,
-    first: int,
-    count: int,
-    method: Method,
-    whole: bool,
-    seed: int,
+    fitted: Fitted, first: int, count: int, method: Method, whole: bool, seed: int
 ) -> list[dict[str, Any]]:
-    """Repetitions of a fit, each with random numbers of its own: of the seed and its number.
+    """A task: repetitions of a fit, whose random numbers are of the seed and the number of each.
 
-    Arguments:
-        fitted: the fit.
-        first, count: numbers of the repetitions.
-        method, whole, seed: as of `bootstrap`.
-
-    Returns:
-        Of each: `converged`, `reason`, `values` and `reach` (half of a 95 % interval, None without
-        one) in the order of `Optimum.labels`, `derived` by name, and the labels in `bounds`.
+    Of each: `converged`, `reason`, `values` and `reach` (half of a 95 % interval, None without one)
+    in the order of `Optimum.labels`, `derived` by name, and the labels in `bounds`.
     """
     optimum = fitted.optimum()
     sources = _sources(optimum) if method == "block" else []
     rows = []
     for number in range(first, first + count):
         random = np.random.default_rng([seed, number])
-        recorded: Recorded
-        if method == "block":
-            recorded = [source.again(random) for source in sources]
-        else:
-            recorded = noisy(optimum, random)
+        recorded = [source.again(random) for source in sources] or noisy(optimum, random)
         if whole:
             rows.append(_whole(fitted, recorded))
         else:
@@ -329,14 +292,8 @@ def replicates(
 def noisy(optimum: Optimum, random: np.random.Generator) -> Recorded:
     """What each run would have recorded of the fitted model, with noise of the fitted noise model.
 
-    Noise is larger where standard errors are scaled, because residuals exceed what is stated.
-
-    Arguments:
-        optimum: where the fit ended.
-        random: draws the noise.
-
-    Returns:
-        By channel, SI; NaN where nothing was measured.
+    It is larger where standard errors are scaled, because residuals exceed what is stated. SI, by
+    channel; NaN where nothing was measured.
     """
     state, factor = optimum.state, np.sqrt(optimum.statistics.scale)
     recorded = []
@@ -365,13 +322,6 @@ def known_again(
     """Centres that the priors might have had: each is a measurement, and is made again.
 
     Were they the same in each repetition, all would be drawn to where the first fit was drawn to.
-
-    Arguments:
-        optimum: where the fit ended.
-        random: draws them.
-
-    Returns:
-        As `Optimum.refit` takes them; None where there is no prior.
     """
     priors = optimum.state.problem.priors
     if not len(priors.columns):
@@ -379,12 +329,6 @@ def known_again(
     values = optimum.values[list(priors.columns)]
     middle = np.where(priors.logarithmic, np.log(np.where(priors.logarithmic, values, 1)), values)
     return np.asarray(random.normal(middle, np.asarray(priors.spread)))
-
-
-def block_lengths(optimum: Optimum) -> dict[str, int]:
-    """Samples of a block of residuals, by run."""
-    runs = optimum.state.setup.runs
-    return {run.name: each.length for run, each in zip(runs, _sources(optimum), strict=True)}
 
 
 def _sources(optimum: Optimum) -> list[Residuals]:
@@ -403,8 +347,8 @@ def _held(fitted: Fitted, recorded: Recorded, centres: np.ndarray | None) -> dic
     optimum = fitted.optimum()
     again = optimum.refit(recorded=recorded, centres=centres)
     if not again.state.evaluated:
-        return _row(False, again.reason)
-    return _row(again.converged, again.reason) | _found(fitted.result, optimum, again.statistics)
+        return {"converged": False, "reason": again.reason}
+    return _found(fitted.result, optimum, again.statistics, again.converged, again.reason)
 
 
 def _whole(fitted: Fitted, recorded: Recorded) -> dict[str, Any]:
@@ -416,15 +360,13 @@ def _whole(fitted: Fitted, recorded: Recorded) -> dict[str, Any]:
     again = refit(fitted.result, others)
     there = optimum_of(again, others)
     converged = again.status == "converged"
-    return _row(converged, again.reason) | _found(fitted.result, there, there.statistics)
+    return _found(fitted.result, there, there.statistics, converged, again.reason)
 
 
-def _row(converged: bool, reason: str) -> dict[str, Any]:
-    return {"converged": converged, "reason": reason}
-
-
-def _found(result: FitResult, optimum: Optimum, statistics: Statistics) -> dict[str, Any]:
-    """Where a repetition ended, with what a result would say of it."""
+def _found(
+    result: FitResult, optimum: Optimum, statistics: Statistics, converged: bool, reason: str
+) -> dict[str, Any]:
+    """How and where a repetition ended, with what a result would say of it."""
     values = statistics.values
     reach = [
         None
@@ -438,8 +380,14 @@ def _found(result: FitResult, optimum: Optimum, statistics: Statistics) -> dict[
         name: float(np.mean(follows[name].value if name in follows else get(model, name)))
         for name in result.derived
     }
-    bounds = [statistics.labels[place] for place in statistics.bounds]
-    return {"values": values.tolist(), "reach": reach, "derived": derived, "bounds": bounds}
+    return {
+        "converged": converged,
+        "reason": reason,
+        "values": values.tolist(),
+        "reach": reach,
+        "derived": derived,
+        "bounds": [statistics.labels[place] for place in statistics.bounds],
+    }
 
 
 # Repetitions of a task, which share a program; and numbers that are the same whoever does them.
@@ -477,16 +425,12 @@ def bootstrap(
     unless it is fitted whole, which takes about ten times as long.
 
     Arguments:
-        result: of `giajax.fit` or `giajax.load_result`.
-        runs: the runs that were fitted, in their order.
-        size: repetitions, 2 at least.
+        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
+        size: repetitions, 2 at least; after Ctrl-C, those count that were done.
         method: "parametric" or "block".
         whole: fit each as the data were, with the noise to be found again.
         seed: of all repetitions; repetition n has random numbers of its own, of the seed and n.
         how: who does the tasks of 16 repetitions, as of `giajax.runtime.execution.Execution`.
-
-    Returns:
-        What the repetitions say; after Ctrl-C, those that were done.
 
     Raises:
         InputError: other runs than those of the result, which has not converged; a size or method
@@ -523,6 +467,7 @@ def bootstrap(
         raise InputError(f"no two repetitions of the fit could be done: {why}")
     back = [row for row in rows if row["converged"]]
     scale = optimum.statistics.scale if method == "parametric" else 1.0
+    sources = _sources(optimum) if method == "block" else []
     return Bootstrap(
         method=method,
         seed=seed,
@@ -534,10 +479,13 @@ def bootstrap(
         failures=failures,
         at_bounds=dict(Counter(label for row in back for label in row["bounds"])),
         parameters=_parameters(result, optimum, back, judged=method == "parametric"),
-        block_lengths=block_lengths(optimum) if method == "block" else {},
+        block_lengths={
+            run.name: each.length
+            for run, each in zip(optimum.state.setup.runs, sources, strict=False)
+        },
         noise_factor=float(scale) ** 0.5,
         notes=_notes(result, method, whole=whole),
-        fitted={path: float(estimate.value) for path, estimate in result.free.items()},
+        fitted=end_values(result),
     )
 
 

@@ -6,19 +6,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..fitting import Direction, FitResult, Response, SuspectKind, Tie, resolved_ties
+from ..fitting import Direction, FitResult, Response, SuspectKind, resolved_ties
 from ..models import AbstractModel
 from ..recordings import Run
 from ..runtime.text import InputError
 from ..schema.parameters import Parameter, declared, left_out
 from ._score import responses_of, white_noise
 
-# Parts that change what a model predicts at the value at which they ought to change nothing.
-#
-# A test of a part that is left out begins where it does nothing. Added mass of 0 is none in still
-# air; but in a recorded wind that changes, what is on has the pressure of the air that speeds up
-# as well, which acts on whatever displaces it.
-
+# A test of a part that is left out begins where it ought to do nothing. Added mass of 0 is none in
+# still air; but in a recorded wind that changes, what is on has the pressure of the air that speeds
+# up as well, which acts on whatever displaces it.
 _REASON = (
     "also at its neutral value it changes what is predicted for these runs, so that no test can "
     "begin there: free it in a fit"
@@ -29,22 +26,18 @@ _NOTICED = 0.05
 
 
 def is_disturbed(result: FitResult, runs: Sequence[Run], at: Sequence[Response]) -> bool:
-    """Whether responses are not those of the fit, by the residuals that it had.
+    """Whether responses with all parts on, at neutral values, are not those of the fit.
 
-    Arguments:
-        result: of the fit.
-        runs: that were fitted.
-        at: of the fitted model with all parts on, at their neutral values.
+    By the residuals that it had.
     """
     for run, record, response in zip(runs, result.runs, at, strict=True):
         rest = response.predicted - response.observed
         for place, name in enumerate(response.channels):
             known = record.channels.get(name)
-            if known is None or known.rmse is None:
-                continue
-            root = run.channels[name].from_si(float(np.sqrt(np.nanmean(rest[:, place] ** 2))))
-            if abs(root - known.rmse) > _NOTICED * known.noise:
-                return True
+            if known is not None and known.rmse is not None:
+                root = run.channels[name].from_si(float(np.sqrt(np.nanmean(rest[:, place] ** 2))))
+                if abs(root - known.rmse) > _NOTICED * known.noise:
+                    return True
     return False
 
 
@@ -52,10 +45,6 @@ def not_neutral(result: FitResult, runs: Sequence[Run]) -> dict[str, str]:
     """What of a disturbed model cannot be tested at its neutral value, with the reason, by path.
 
     Found by halving, because each set of parts is a program of its own.
-
-    Arguments:
-        result: of a fit.
-        runs: that were fitted.
     """
     at = responses_of(result, runs, result.model)
     noise = white_noise(result, runs, at)
@@ -125,19 +114,14 @@ class Inquiry:
         free: directions of the parameters that were fitted, in their order.
         candidates: all others, apart from what follows from others.
         impossible: what cannot be switched on in this model, with the reason, by path.
-        ties: what follows from others, in their order.
+        following: paths of the elements that follow from others.
     """
 
     model: AbstractModel
     free: tuple[Direction, ...]
     candidates: tuple[Candidate, ...]
     impossible: dict[str, str]
-    ties: tuple[Tie, ...] = ()
-
-    @property
-    def following(self) -> set[str]:
-        """Paths of the elements that follow from others."""
-        return {path for tie in self.ties for path in tie.elements}
+    following: frozenset[str]
 
 
 def inquiry(
@@ -147,21 +131,15 @@ def inquiry(
     ties: Mapping[str, str] | None = None,
     without: Mapping[str, str] | None = None,
 ) -> Inquiry:
-    """All that may be asked of a fitted model.
+    """The fitted model with everything on, and the directions of its parameters.
 
     Arguments:
         model: the fitted model.
         free: paths of the parameters that were fitted.
         each: paths of arrays whose elements are asked for one by one, and together, in place of
-            all in proportion.
+            all in proportion. An InputError where one is no array of this model.
         ties: expressions by the paths of what follows from them.
         without: paths of what is not to be switched on, and why.
-
-    Returns:
-        The model with everything on, and the directions of its parameters.
-
-    Raises:
-        InputError: `each` names what is no array of this model.
     """
     impossible = dict(without or {})
     for path, absent in left_out(model).items():
@@ -181,18 +159,18 @@ def inquiry(
         # One number for all joints becomes one for each.
         model = _in_full(model, known[path])
     known = declared(model)
-    order = resolved_ties(model, ties or {})
-    moved = {*free, *(path for tie in order for path in tie.elements)}
+    tied = resolved_ties(model, ties or {})
+    following = frozenset(path for tie in tied for path in tie.elements)
     return Inquiry(
         model=model,
         free=tuple(_free_direction(model, known, path) for path in free),
         candidates=tuple(
             candidate
             for parameter in known.values()
-            for candidate in _candidates(model, parameter, moved, parameter.path in each)
+            for candidate in _candidates(model, parameter, following.union(free), each)
         ),
         impossible=impossible,
-        ties=order,
+        following=following,
     )
 
 
@@ -220,7 +198,7 @@ def _free_direction(model: AbstractModel, known: dict[str, Parameter], path: str
 
 
 def _candidates(
-    model: AbstractModel, parameter: Parameter, moved: set[str], each: bool
+    model: AbstractModel, parameter: Parameter, moved: frozenset[str], each: Sequence[str]
 ) -> list[Candidate]:
     """The directions of one parameter that is held, or of what is held of it."""
     path, about = parameter.path, parameter.declaration
@@ -238,7 +216,7 @@ def _candidates(
 
     if value.ndim == 0:
         return [made(path, float(value), np.asarray(1.0))]
-    if about.shape or each or (np.sum(held) == 1 and value.size > 1):
+    if about.shape or path in each or (np.sum(held) == 1 and value.size > 1):
         units = np.eye(value.size)
         return [
             made(f"{path}[{i}]", float(value[i]), units[i], group=path)
@@ -247,10 +225,7 @@ def _candidates(
     numbers = value[held]
     if np.all(numbers == numbers[0]):
         return [made(path, float(numbers[0]), held.astype(float))]
-    step = np.where(held, value, 0.0)
-    return [Candidate(path, "factor", "", 1.0, *_factors(about.lower), 1.0, Direction(path, step))]
-
-
-def _factors(lower: float) -> tuple[float, float]:
-    """Bounds of a factor on values with a lower bound: those that keep their sign."""
-    return (0.0 if lower >= 0 else -np.inf), np.inf
+    along = Direction(path, np.where(held, value, 0.0))
+    # Values that have a sign keep it.
+    lower = 0.0 if about.lower >= 0 else -np.inf
+    return [Candidate(path, "factor", "", 1.0, lower, np.inf, 1.0, along)]

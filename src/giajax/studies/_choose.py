@@ -60,19 +60,10 @@ _LEAST = 8
 
 
 def parted(run: Run, fraction: float) -> tuple[Run, Run]:
-    """The run without its last measurements, and with only those.
+    """The run without its last measurements, to fit to, and with only those, to judge by.
 
-    Both have the whole input, which a memory follows.
-
-    Arguments:
-        run: with one measured channel.
-        fraction: of the measured values that the second part has, between 0 and 1.
-
-    Returns:
-        The part to fit to, and the part to judge by.
-
-    Raises:
-        InputError: another fraction, or one that leaves too few values to a part.
+    Both have the whole input, which a memory follows. An InputError where the fraction is none
+    between 0 and 1, or leaves too few values to a part.
     """
     if not 0 < fraction < 1:
         raise InputError(f"the held-out fraction is {fraction:g}: give one between 0 and 1")
@@ -84,12 +75,12 @@ def parted(run: Run, fraction: float) -> tuple[Run, Run]:
             f"'{run.name}' has {len(measured)} measured values, too few to hold out "
             f"{fraction:.0%} of them: give a longer run, or another run to judge by"
         )
-    parts = []
-    for kept in (measured[:first], measured[first:]):
-        part = np.full(len(values), np.nan)
-        part[kept] = values[kept]
-        parts.append(dataclasses.replace(run, values={**run.values, name: part}))
-    return parts[0], parts[1]
+    early, late = values.copy(), values.copy()
+    early[measured[first:]] = late[measured[:first]] = np.nan
+    return (
+        dataclasses.replace(run, values={**run.values, name: early}),
+        dataclasses.replace(run, values={**run.values, name: late}),
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,8 +131,7 @@ def compare(
         refit_initial: fit the initial state of each run first, for each model by itself.
 
     Returns:
-        A comparison for each channel of each run, and of several runs for each channel of all
-        of them together.
+        One for each channel of each run, and of several runs for each channel of all together.
 
     Raises:
         InputError: as `giajax.predict` and `giajax.fit`.
@@ -156,8 +146,9 @@ def compare(
                 channel=name,
                 unit=channel.unit,
                 n=channel.n,
-                rmse=_known(channel.rmse),
-                largest=_known(channel.largest),
+                # None, which only a file holds, was not finite.
+                rmse=float("inf") if channel.rmse is None else channel.rmse,
+                largest=float("inf") if channel.largest is None else channel.largest,
                 reference_rmse=None if reference is None else reference.channels[name].rmse,
             )
             for name, channel in errors.channels.items()
@@ -165,18 +156,11 @@ def compare(
     return comparisons if len(runs) == 1 else [*comparisons, *_pooled(comparisons)]
 
 
-def _known(error: float | None) -> float:
-    """An error that was computed; None, which only a file holds, was not finite."""
-    return float("inf") if error is None else error
-
-
 def _pooled(comparisons: Sequence[Comparison]) -> list[Comparison]:
     """One comparison a channel for all runs together."""
-    by_channel: dict[tuple[str, str], list[Comparison]] = {}
-    for one in comparisons:
-        by_channel.setdefault((one.channel, one.unit), []).append(one)
     pooled = []
-    for (channel, unit), those in by_channel.items():
+    for channel, unit in dict.fromkeys((one.channel, one.unit) for one in comparisons):
+        those = [one for one in comparisons if (one.channel, one.unit) == (channel, unit)]
         counts = [one.n for one in those]
         references = [one.reference_rmse for one in those if one.reference_rmse is not None]
         pooled.append(
@@ -274,49 +258,38 @@ def choose_hysteresis(
         candidates: names of `CANDIDATES`; all by default.
         progress: called with each name before it is fitted.
 
-    Returns:
-        The candidates in their order, the best one first.
-
     Raises:
         InputError: an unknown name or none, a fraction that leaves nothing to fit or to judge by,
             or no hysteresis run.
     """
     names = list(CANDIDATES) if candidates is None else list(candidates)
-    if not names:
-        raise InputError(f"there is no candidate: use some of: {', '.join(CANDIDATES)}")
-    for name in names:
-        if name not in CANDIDATES:
-            raise InputError(
-                f"there is no candidate '{name}': use some of: {', '.join(CANDIDATES)}"
-            )
+    unknown = [name for name in names if name not in CANDIDATES]
+    if unknown or not names:
+        which = f" '{unknown[0]}'" if unknown else ""
+        raise InputError(f"there is no candidate{which}: use some of: {', '.join(CANDIDATES)}")
     if not runs or any(run.model != HysteresisModel.kind for run in (*runs, *held_out)):
         raise InputError("a choice is between models of hysteresis: give runs of hysteresis")
     for run in (*runs, *held_out):
         run.require_observations()
-    if held_out:
-        fitted, judged = list(runs), list(held_out)
-    else:
-        parts = [parted(run, fraction) for run in runs]
-        fitted, judged = [a for a, _ in parts], [b for _, b in parts]
+    fitted, judged = runs, held_out
+    if not held_out:
+        fitted, judged = zip(*(parted(run, fraction) for run in runs), strict=True)
     tried = []
     for name in names:
         if progress is not None:
             progress(name)
         tried.append(_candidate(name, fitted, judged))
     channel = runs[0].channels[next(iter(runs[0].observations))]
-    return Choice(tuple(sorted(tried, key=_rank)), channel.unit)
+
+    def rank(candidate: Candidate) -> tuple[bool, float]:
+        error = candidate.held_out_rmse
+        return not candidate.converged, error if np.isfinite(error) else np.inf
+
+    return Choice(tuple(sorted(tried, key=rank)), channel.unit)
 
 
 def choice_hint(runs: Sequence[Run], paths: Sequence[str]) -> str:
-    """A sentence on the other operators, where no run names one; else empty.
-
-    Arguments:
-        runs: the runs that were fitted.
-        paths: of their files.
-
-    Returns:
-        The sentence, with the command that compares the operators.
-    """
+    """A sentence on the command that compares operators, where no run names one; else empty."""
     if any(
         run.model != HysteresisModel.kind
         or run.definition.section(HysteresisSection).operator is not None
@@ -330,11 +303,6 @@ def choice_hint(runs: Sequence[Run], paths: Sequence[str]) -> str:
     )
 
 
-def _rank(candidate: Candidate) -> tuple[bool, float]:
-    error = candidate.held_out_rmse
-    return not candidate.converged, error if np.isfinite(error) else np.inf
-
-
 def _candidate(name: str, fitted: Sequence[Run], judged: Sequence[Run]) -> Candidate:
     candidate = CANDIDATES[name]
     fitted = [candidate.applied_to(run) for run in fitted]
@@ -345,12 +313,16 @@ def _candidate(name: str, fitted: Sequence[Run], judged: Sequence[Run]) -> Candi
     count, size = len(residuals), len(result.free)
     spread = count * np.log(np.mean(residuals**2))
     channel = fitted[0].channels[next(iter(fitted[0].observations))]
+
+    def rms(values: np.ndarray) -> float:
+        return float(channel.from_si(float(np.sqrt(np.mean(values**2)))))
+
     return Candidate(
         name=name,
         parameters=size,
         status=result.status,
-        rmse=float(channel.from_si(_rms(residuals))),
-        held_out_rmse=float(channel.from_si(_rms(_residuals(result, judged)))),
+        rmse=rms(residuals),
+        held_out_rmse=rms(_residuals(result, judged)),
         aic=float(spread + 2 * (size + 1)),
         bic=float(spread + np.log(count) * (size + 1)),
         result=result,
@@ -364,7 +336,3 @@ def _residuals(result: FitResult, runs: Sequence[Run]) -> np.ndarray:
         parts += [values - predicted[name] for name, values in run.observations.items()]
     together = np.concatenate(parts)
     return together[~np.isnan(together)]
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -16,16 +16,11 @@ _ASSUMED = ("noise", "loss", "prior")
 
 
 def obstacles(results: Sequence[FitResult], names: Sequence[str]) -> list[str]:
-    """Sentences on why the likelihoods of some results cannot be compared; none where they can.
-
-    Arguments:
-        results: each is compared with the first.
-        names: of each.
-    """
+    """Sentences on why the likelihoods of some results cannot be compared with the first's."""
     said = []
     first = results[0]
     for result, name in zip(results[1:], names[1:], strict=True):
-        if not (_known(first) and _known(result)):
+        if not all(run.sha256 for run in (*first.runs, *result.runs)):
             said.append(
                 f"{names[0]} or {name} was fitted to a run without a file: whether their data are "
                 "the same is not known, so chi-square and BIC cannot be compared"
@@ -44,10 +39,6 @@ def obstacles(results: Sequence[FitResult], names: Sequence[str]) -> list[str]:
         if result.status != "converged":
             said.append(f"{name} has not converged: its values are not those of an optimum")
     return said
-
-
-def _known(result: FitResult) -> bool:
-    return all(run.sha256 for run in result.runs)
 
 
 def _data(result: FitResult) -> list[Any]:
@@ -144,23 +135,24 @@ class Contrast:
 
 
 def contrast(results: Sequence[FitResult], names: Sequence[str]) -> Contrast:
-    """Put results side by side; nothing is fitted or predicted.
+    """Put at least two results side by side; nothing is fitted or predicted.
 
-    Arguments:
-        results: at least two; differences are from the first.
-        names: of each.
-
-    Returns:
-        Their parameters, with differences, and what they are as a whole. BIC is there for fits of
-        the same values with the same noise and loss.
+    Differences are from the first. BIC is there for fits of the same values with the same noise and
+    loss.
 
     Example:
         >>> found = contrast([load_result("a"), load_result("b")], ["a", "b"])  # doctest: +SKIP
     """
-    tables = [in_column_units(_all(result), result.model) for result in results]
+    tables = [
+        in_column_units({**result.parameters, **result.shown}, result.model) for result in results
+    ]
     paths = dict.fromkeys(path for result in results for path in result.shown)
     notes = obstacles(results, names)
-    by_likelihood = [math.nan if notes else _bic(result) for result in results]
+    sizes = [(_values(result), _parameters(result)) for result in results]
+    by_likelihood = [
+        math.nan if notes else 2 * misfit(result) + parameters * math.log(max(values, 1))
+        for result, (values, parameters) in zip(results, sizes, strict=True)
+    ]
     least = min(by_likelihood)
     columns = tuple(
         ContrastColumn(
@@ -168,13 +160,15 @@ def contrast(results: Sequence[FitResult], names: Sequence[str]) -> Contrast:
             model=result.model.kind,
             status=result.status,
             verdict=result.verdict.status,
-            values=_values(result),
-            parameters=_parameters(result),
+            values=values,
+            parameters=parameters,
             reduced_chi_square=result.reduced_chi_square,
             bic=bic - least if math.isfinite(bic) and math.isfinite(least) else None,
             held_out=_held_out(result),
         )
-        for name, result, bic in zip(names, results, by_likelihood, strict=True)
+        for name, result, (values, parameters), bic in zip(
+            names, results, sizes, by_likelihood, strict=True
+        )
     )
     shared = {sha for run in results[0].runs if (sha := run.sha256)}
     if any(shared & {run.sha256 for run in result.runs} for result in results[1:]):
@@ -183,10 +177,6 @@ def contrast(results: Sequence[FitResult], names: Sequence[str]) -> Contrast:
             "means more than its number says"
         )
     return Contrast(columns, tuple(_row(path, tables) for path in paths), tuple(notes))
-
-
-def _all(result: FitResult) -> dict[str, Estimate]:
-    return {**result.parameters, **result.shown}
 
 
 def _row(path: str, tables: Sequence[dict[str, Estimate]]) -> ContrastRow:
@@ -201,9 +191,7 @@ def _row(path: str, tables: Sequence[dict[str, Estimate]]) -> ContrastRow:
 
 
 def _difference(first: Estimate | None, other: Estimate | None) -> float | None:
-    if first is None or other is None:
-        return None
-    if not (first.standard_error and other.standard_error):
+    if first is None or other is None or not (first.standard_error and other.standard_error):
         return None
     return float((other.value - first.value) / np.hypot(first.standard_error, other.standard_error))
 
@@ -218,10 +206,6 @@ def _parameters(result: FitResult) -> int:
     shared = {(path, one) for path, one in own if path in result.free}
     states = [path for path, _ in own if path not in result.free]
     return len(result.free.keys() - {path for path, _ in shared}) + len(shared) + len(states)
-
-
-def _bic(result: FitResult) -> float:
-    return 2 * misfit(result) + _parameters(result) * math.log(max(_values(result), 1))
 
 
 def _held_out(result: FitResult) -> float | None:

@@ -11,7 +11,7 @@ from ..recordings import Channel, Run
 from ..runtime.execution import Execution
 from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
-from ._refit import Fitted, StudyRecord
+from ._refit import Fitted, StudyRecord, end_values
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,10 +90,6 @@ class Influence(
         """The parts of a kind: "run", "marker", "channel" or "span"."""
         return tuple(part for part in self.parts if part.kind == kind)
 
-    def is_of(self, result: FitResult) -> bool:
-        """Whether it is of this fit, and not of another one that was in its place."""
-        return self.fitted == {path: float(one.value) for path, one in result.free.items()}
-
 
 Kind = Literal["run", "marker", "channel", "span"]
 
@@ -129,11 +125,8 @@ class Part:
 def parts_of(runs: Sequence[Run], spans: int) -> list[Part]:
     """Everything that may be left out of some runs, apart from all of them.
 
-    A channel that is a marker by itself is listed as the marker.
-
-    Arguments:
-        runs: of a fit.
-        spans: into how many stretches of equal time, or number of samples, each run is cut.
+    A channel that is a marker by itself is listed as the marker; `spans` are of equal time, or
+    number of samples.
     """
     everywhere = tuple(range(len(runs)))
     parts = [Part("run", run.name, (i,)) for i, run in enumerate(runs) if len(runs) > 1]
@@ -169,15 +162,9 @@ def _spans(index: int, run: Run, count: int) -> list[Part]:
 
 
 def left_out(fitted: Fitted, parts: Sequence[Part]) -> list[dict[str, Any]]:
-    """Fit again without each of some parts.
+    """A task: fits without each of some parts.
 
-    Arguments:
-        fitted: the fit.
-        parts: what is left out, one at a time.
-
-    Returns:
-        Of each: `converged`, `reason`, and by label `values` and `errors` of what the rest
-        determines.
+    Of each: `converged`, `reason`, and by label `values` and `errors` of what the rest determines.
     """
     optimum = fitted.optimum()
     rows = []
@@ -195,15 +182,15 @@ def left_out(fitted: Fitted, parts: Sequence[Part]) -> list[dict[str, Any]]:
 
 def without(optimum: Optimum, part: Part) -> Recorded:
     """What the runs recorded, without a part of it."""
-    recorded = []
-    for index, run in enumerate(optimum.state.setup.runs):
-        values = dict(run.observations)
-        for name, row in values.items():
-            gone = part.of(index, name, len(row))
-            if gone is not None:
-                values[name] = np.where(gone, np.nan, row)
-        recorded.append(values)
-    return recorded
+    return [
+        {
+            name: row
+            if (gone := part.of(index, name, len(row))) is None
+            else np.where(gone, np.nan, row)
+            for name, row in run.observations.items()
+        }
+        for index, run in enumerate(optimum.state.setup.runs)
+    ]
 
 
 # Fits of a task, which share a program.
@@ -237,14 +224,10 @@ def influence(
     with the others (`LeftOut.surprise`).
 
     Arguments:
-        result: of `giajax.fit` or `giajax.load_result`.
-        runs: the runs that were fitted, in their order.
+        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
         exact: fit without each marker, channel and span, too.
         spans: into how many each run is cut, of equal time; 1 for none.
         how: who does the tasks of 16 fits, as of `giajax.runtime.execution.Execution`.
-
-    Returns:
-        The parts, the largest shift first.
 
     Raises:
         InputError: other runs than those of the result, a fit that has not converged, or a number
@@ -278,7 +261,7 @@ def influence(
         parameters={known.labels[i]: known.standard_errors[i] for i in known.determined},
         parts=tuple(sorted(found, key=lambda part: -part.largest)),
         notes=_notes(optimum, exact=exact),
-        fitted={path: float(estimate.value) for path, estimate in result.free.items()},
+        fitted=end_values(result),
     )
 
 
@@ -325,15 +308,13 @@ def _with_fit(step: LeftOut, optimum: Optimum, row: Mapping[str, Any]) -> LeftOu
     if not row["converged"]:
         return dataclasses.replace(step, reason=row["reason"])
     known, values, errors = optimum.statistics, row["values"], row["errors"]
-    shifts: dict[str, float | None] = {}
-    widening: dict[str, float | None] = {}
-    for label in step.steps:
+    shifts: dict[str, float | None] = dict.fromkeys(step.steps)
+    widening: dict[str, float | None] = dict.fromkeys(step.steps)
+    for label in step.steps.keys() & values.keys():
         place = known.labels.index(label)
         error = known.standard_errors[place]
-        shifts[label] = widening[label] = None
-        if values.get(label) is not None:
-            shifts[label] = (values[label] - float(known.values[place])) / error
-            widening[label] = errors[label] / error
+        shifts[label] = (values[label] - float(known.values[place])) / error
+        widening[label] = errors[label] / error
     return dataclasses.replace(step, exact=shifts, exact_widening=widening)
 
 
@@ -353,7 +334,6 @@ def _notes(optimum: Optimum, *, exact: bool) -> tuple[str, ...]:
     if not exact:
         notes.append("all but single runs are left out to first order: exact=True (--exact) fits")
     known = optimum.statistics
-    held = [known.labels[place] for place in known.bounds]
-    if held:
+    if held := [known.labels[place] for place in known.bounds]:
         notes.append(f"at a bound, where a step to first order holds it: {', '.join(held)}")
     return tuple(notes)

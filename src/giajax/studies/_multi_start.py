@@ -1,5 +1,6 @@
 """A fit from several starts: long motions have optima that lead nowhere."""
 
+import contextlib
 import dataclasses
 import functools
 import threading
@@ -68,10 +69,7 @@ def distinct_optima(result: FitResult) -> list[DistinctOptimum]:
     """The optima that the starts of a result converged to, the best first.
 
     Two ends are of one optimum where they describe the data as well as each other and no parameter
-    that is determined differs by more than its standard error.
-
-    Arguments:
-        result: of `multi_start`; of one start there is none.
+    that is determined differs by more than its standard error. Of one start there is none.
     """
     best = misfit(result)
     values = sum(channel.n for run in result.runs for channel in run.channels.values())
@@ -151,8 +149,7 @@ def multi_start(
         folder: of a file for each of these tasks, by which the same call goes on.
 
     Returns:
-        The best result; `result.starts` has where each start ended. Ctrl-C ends the fit and
-        returns the best of those so far.
+        The best result, so far after Ctrl-C; `result.starts` has where each start ended.
 
     Raises:
         InputError: as `giajax.fit`; of the starts, the first one must be evaluable.
@@ -183,16 +180,11 @@ def solve_from_starts(
     executor: Executor | None = None,
     folder: str | Path | None = None,
 ) -> FitResult:
-    """Fit what `giajax.fitting.set_up` resolved from several starts.
+    """Fit what `giajax.fitting.set_up` resolved from several starts; else as `multi_start`.
 
     Arguments:
-        setup: what to fit to what; its settings say from how many starts.
-        progress, announce, check, before, executor, folder: as of `multi_start`.
         journal: the journal of each fit, by its number: the starts from 1, then the one that
             checks the result. A start that has ended there is evaluated where it ended.
-
-    Returns:
-        As `multi_start`.
 
     Raises:
         InputError: the first start cannot be evaluated, or `before` is of another fit.
@@ -201,8 +193,7 @@ def solve_from_starts(
     starts, values = settings.starts, start_values(setup)
     budget = None if settings.budget_s is None else Budget(settings.budget_s)
     # A wrong number of cores is refused before the first start, not after it.
-    count = cores()
-    spent = threading.Event()
+    count, spent = cores(), threading.Event()
 
     def one(number: int, earlier: Sequence[FitResult], tell: Tell) -> End | None:
         """How a start ends; None where there is no time left for it."""
@@ -214,7 +205,8 @@ def solve_from_starts(
                 tell(announce, number, start)
             result = solve(
                 with_tolerance_of(setup.started_at(start), earlier),
-                progress=functools.partial(tell, _nothing if progress is None else progress),
+                # Also where nobody listens: what a start tells is where it is stopped.
+                progress=functools.partial(tell, progress or (lambda _: None)),
                 check=False,
                 budget=budget,
                 journal=None if journal is None else journal(number),
@@ -231,30 +223,18 @@ def solve_from_starts(
             spent.set()
         return end_of(start, result), result
 
-    known: list[End] = []
-    if before is not None:
-        known = [(start, None) for start in earlier_starts(before, setup, values)]
+    earlier = [] if before is None else earlier_starts(before, setup, values)
+    known: list[End] = [(start, None) for start in earlier]
     fitted = [before] if before is not None and before.status == "converged" else []
-    others = in_threads(one, count)
-    if executor is not None:
-        others = by_executor(
-            setup,
-            values,
-            executor=executor,
-            folder=folder,
-            budget=budget,
-            announce=announce,
-            progress=progress,
-            spent=spent.set,
-        )
+    if executor is None:
+        others = in_threads(one, count)
+    else:
+        others = by_executor(setup, values, executor, folder, budget, announce, progress, spent.set)
     ended = in_order(one, others, starts, known, fitted)
     ends = [start for start, _ in ended]
     results = [*fitted, *(result for _, result in ended if result is not None)]
     if not results:
         raise KeyboardInterrupt
-    in_time = budget is None or not (
-        spent.is_set() or (len(ends) < starts and all(end.status != "interrupted" for end in ends))
-    )
     best = min(results, key=misfit)
     seconds = Seconds(
         compile=sum(result.seconds.compile for result in results),
@@ -263,7 +243,8 @@ def solve_from_starts(
     stopped = any(end.status == "interrupted" for end in ends)
     if stopped and best.status == "converged":
         best = interrupted(best, f"at start {len(ends)} of {starts}")
-    if budget is not None and not in_time and budget.ended_it not in best.message:
+    late = spent.is_set() or (len(ends) < starts and not stopped)
+    if budget is not None and late and budget.ended_it not in best.message:
         message = f"{best.message}; {budget.ended_it} after {len(ends)} of {starts} starts"
         best = dataclasses.replace(best, status="not_converged", message=message, reason="budget")
     # Of a result that was loaded, the predictions are missing, and the verdict on what is held out.
@@ -278,10 +259,6 @@ def solve_from_starts(
     return dataclasses.replace(best, starts=tuple(ends), config=config, seconds=seconds)
 
 
-def _nothing(_: Iteration) -> None:
-    """Of an iteration that nobody asks for."""
-
-
 def _checked(
     setup: Setup,
     best: FitResult,
@@ -290,14 +267,14 @@ def _checked(
     journal: FitJournal | None,
 ) -> FitResult:
     """The best end fitted again from where it is, with the checks that were left out before."""
-    try:
+    status = "interrupted"
+    with contextlib.suppress(KeyboardInterrupt):
         inside = with_tolerance_of(setup.started_at(inside_bounds(setup, end_values(best))), [best])
         again = solve(inside, progress=progress, budget=budget, journal=journal)
-    except KeyboardInterrupt:
+        status = again.status
+    if status == "interrupted":
         return interrupted(best, "before its result was checked")
-    if again.status == "interrupted":
-        return interrupted(best, "before its result was checked")
-    if again.status != "converged":
+    if status != "converged":
         return best
     return dataclasses.replace(
         again, message=best.message, iterations=best.iterations, history=best.history

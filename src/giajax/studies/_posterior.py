@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..fitting import Density, FitResult, Optimum, density_of, energy_at
+from ..fitting import Density, FitResult, density_of, energy_at
 from ..recordings import Run, unique_names
 from ..runtime.arrays import on_device
 from ..runtime.execution import run_tasks
@@ -65,13 +65,7 @@ class Begun:
 
 
 def chain(begun: Begun, number: int, draws: int, warmup: int, seed: int) -> dict[str, Any]:
-    """Draw from a density, as a task of `giajax.runtime`.
-
-    Arguments:
-        begun: where.
-        number: of the chain; those of a study differ in it, and so in their seeds.
-        draws, warmup: how many transitions are kept, and how many adapt the sampler before.
-        seed: of the random numbers.
+    """A task: draws from a density. Chains of a study differ in their number, and so in their seed.
 
     Returns:
         `values` of all free parameters, shape (draw, parameter), SI; `energy` (minus the logarithm
@@ -81,41 +75,30 @@ def chain(begun: Begun, number: int, draws: int, warmup: int, seed: int) -> dict
     """
     total = warmup + draws
     length = next(n for n in range(min(_AT_ONCE, total), 0, -1) if total % n == 0)
-    settings = warmup, _adapts(warmup, len(begun.start))
+    settings = warmup, warmup >= max(_LEAST_TO_ADAPT, _EACH * len(begun.start))
     density, dtype = begun.density, begun.density.centre.dtype
-    state = _chain_begun(
-        density,
-        on_device(begun.start, dtype),
-        on_device(begun.energy, dtype),
-        on_device(begun.gradient, dtype),
-        jax.random.key(seed),
-        settings,
+    start, energy, gradient = (
+        on_device(each, dtype) for each in (begun.start, begun.energy, begun.gradient)
     )
+    with _mixing_types():
+        state = _begin(density, start, energy, gradient, jax.random.key(seed), settings)
     parts = []
     for _ in range(total // length):
-        state, found = _moved(density, state, settings, length)
+        with _mixing_types():
+            state, found = _move(density, state, settings, length)
         # Waits for the numbers; until then Ctrl-C would wait for all calls.
         parts.append([np.asarray(each) for each in found])
         if is_stopped():
             raise KeyboardInterrupt
         if (listener := _listener.get()) is not None:
             listener(length)
-    values, energies, diverging, steps, acceptance = (
-        np.concatenate(each) for each in zip(*parts, strict=True)
-    )
+    whole = [np.concatenate(each) for each in zip(*parts, strict=True)]
+    names = "values", "energy", "diverging", "steps", "acceptance"
     return {
-        "values": values[warmup:],
-        "energy": energies[warmup:],
-        "diverging": diverging[warmup:],
-        "steps": steps[warmup:],
-        "acceptance": acceptance[warmup:],
+        **{name: each[warmup:] for name, each in zip(names, whole, strict=True)},
         "step_size": float(state.adapt_state.step_size),
-        "warmup_diverging": int(np.sum(diverging[:warmup])),
+        "warmup_diverging": int(np.sum(whole[2][:warmup])),
     }
-
-
-def _adapts(warmup: int, size: int) -> bool:
-    return warmup >= max(_LEAST_TO_ADAPT, _EACH * size)
 
 
 @contextlib.contextmanager
@@ -123,16 +106,6 @@ def _mixing_types() -> Iterator[None]:
     """NumPyro adds numbers of different types and shapes, which a session may forbid."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield
-
-
-def _chain_begun(*arguments: Any) -> Any:
-    with _mixing_types():
-        return _begin(*arguments)
-
-
-def _moved(*arguments: Any) -> Any:
-    with _mixing_types():
-        return _move(*arguments)
 
 
 @program
@@ -206,18 +179,13 @@ def posterior(
     to stays where the fit left it.
 
     Arguments:
-        result: of a fit.
-        runs: what it was fitted to, in their order.
-        chains: how many, each a task of its own.
+        result, runs: of a fit, and what it was fitted to, in their order.
+        chains: how many, each a task of its own; after Ctrl-C, those count that were done.
         draws: of each chain that are kept.
         warmup: transitions before them, which adapt the sampler.
         seed: of the random numbers.
-        executor: of `giajax.runtime`; by default this process, one chain after the other.
-        folder: of a file for each chain, so that the same call goes on where it was stopped.
+        executor, folder: as of `giajax.runtime.execution.Execution`.
         progress: called with the transitions that are done, and how many there will be.
-
-    Returns:
-        Draws, their summary, and bands of every channel. After Ctrl-C of the chains that were done.
 
     Raises:
         InputError: these are not its runs; NumPyro is not installed; nothing limits a parameter;
@@ -263,28 +231,30 @@ def posterior(
         name: np.stack([np.asarray(one[name]) for one in found])
         for name in ("energy", "diverging", "steps", "acceptance")
     }
-    summary = _summary(
-        result,
-        optimum,
-        samples,
-        places=density.places,
-        asked=chains,
+    marginals = {
+        optimum.labels[place]: marginal(result, optimum, place, samples[..., column])
+        for column, place in enumerate(density.places)
+    }
+    divergences = int(np.sum(parts["diverging"]))
+    summary = PosteriorSummary(
+        parameters=marginals,
+        chains=samples.shape[0],
+        draws=samples.shape[1],
         warmup=warmup,
+        asked=chains,
         seed=seed,
-        divergences=int(np.sum(parts["diverging"])),
+        divergences=divergences,
         scale=float(density.scale),
+        cost=result.cost,
+        held=tuple(label for label in optimum.labels if label not in marginals),
         within=_within(fitted.runs, each),
-        failed=failed,
+        warnings=tuple(doubts(marginals, divergences, samples, failed, chains)),
     )
     return Posterior(summary=summary, samples=samples, bands=each, **parts)
 
 
 def check_posterior(*, chains: int = 1, draws: int = 8, warmup: int = 0) -> None:
-    """Refuse what cannot be drawn, before anything is computed.
-
-    Raises:
-        InputError: NumPyro is not installed, or a number that cannot be.
-    """
+    """Refuse what cannot be drawn, before anything is computed."""
     if importlib.util.find_spec("numpyro") is None:
         raise InputError(
             'a posterior needs NumPyro, which is not installed: pip install "giajax[posterior]"'
@@ -324,31 +294,6 @@ def _begun(density: Density, fitted: Fitted, number: int, seed: int) -> Begun:
             break
         z = z / 2
     return Begun(density, z, energy, gradient, fitted.task_key)
-
-
-def _summary(
-    result: FitResult,
-    optimum: Optimum,
-    samples: np.ndarray,
-    *,
-    places: Sequence[int],
-    failed: Sequence[str],
-    **facts: Any,
-) -> PosteriorSummary:
-    marginals = {
-        optimum.labels[place]: marginal(result, optimum, place, samples[..., column])
-        for column, place in enumerate(places)
-    }
-    sentences = doubts(marginals, facts["divergences"], samples, failed, facts["asked"])
-    return PosteriorSummary(
-        parameters=marginals,
-        chains=samples.shape[0],
-        draws=samples.shape[1],
-        cost=result.cost,
-        held=tuple(label for label in optimum.labels if label not in marginals),
-        warnings=tuple(sentences),
-        **facts,
-    )
 
 
 def _within(

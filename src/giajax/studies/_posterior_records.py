@@ -46,11 +46,7 @@ class Mixing(NamedTuple):
 
 
 def mixing(draws: Draws) -> Mixing:
-    """How well the chains of one parameter have mixed.
-
-    Arguments:
-        draws: shape (chain, draw).
-    """
+    """How well the chains of one parameter have mixed."""
     halves = _halves(draws)
     if halves.shape[1] < _LEAST or np.all(halves == halves[0, 0]):
         return Mixing(np.nan, np.nan, np.nan)
@@ -91,12 +87,12 @@ def effective_size(draws: Draws) -> float:
 
     Autocorrelations are added up in pairs as long as these are positive, and none counts more than
     the one before it (Geyer's initial monotone sequence).
-
-    Arguments:
-        draws: shape (chain, draw).
     """
     chains, count = draws.shape
-    covariance = _autocovariance(draws)
+    centred = draws - np.mean(draws, axis=1, keepdims=True)
+    power = np.abs(np.fft.rfft(centred, 2 * count, axis=1)) ** 2
+    # Of each chain at each lag.
+    covariance = np.fft.irfft(power, axis=1)[:, :count] / count
     within = np.mean(covariance[:, 0]) * count / (count - 1)
     pooled = within * (count - 1) / count
     if chains > 1:
@@ -118,47 +114,26 @@ def effective_size(draws: Draws) -> float:
     return float(size / max(time, 1 / np.log10(size)))
 
 
-def _autocovariance(draws: Draws) -> Draws:
-    """Of each chain at each lag, over the number of draws."""
-    count = draws.shape[1]
-    centred = draws - np.mean(draws, axis=1, keepdims=True)
-    power = np.abs(np.fft.rfft(centred, 2 * count, axis=1)) ** 2
-    return np.fft.irfft(power, axis=1)[:, :count] / count
-
-
-_MISSING = 'ArviZ is not installed, which takes the draws: pip install "giajax[posterior]"'
-
-
 def as_arviz(
     posterior: Mapping[str, np.ndarray],
     statistics: Mapping[str, np.ndarray],
     package: ModuleType | None = None,
 ) -> Any:
-    """Draws as `InferenceData` of ArviZ 0, or as `DataTree` of ArviZ 1 and of `arviz_base`.
-
-    Arguments:
-        posterior: draws by name, each of shape (chain, draw).
-        statistics: of the sampler, likewise.
-        package: that makes it; the ArviZ that is installed by default.
-
-    Raises:
-        InputError: ArviZ is not installed.
-    """
-    package = _arviz() if package is None else package
+    """Draws as `InferenceData` of ArviZ 0, or as `DataTree` of ArviZ 1 and of `arviz_base`."""
+    if package is None:
+        try:
+            with warnings.catch_warnings():
+                # Once a day it announces its next generation.
+                warnings.simplefilter("ignore")
+                package = importlib.import_module("arviz")
+        except ImportError:
+            raise InputError(
+                'ArviZ is not installed, which takes the draws: pip install "giajax[posterior]"'
+            ) from None
     groups = {"posterior": dict(posterior), "sample_stats": dict(statistics)}
     if package.__name__ == "arviz" and package.__version__.startswith("0."):
         return package.from_dict(**groups)
     return package.from_dict(groups)
-
-
-def _arviz() -> ModuleType:
-    try:
-        with warnings.catch_warnings():
-            # Once a day it announces its next generation.
-            warnings.simplefilter("ignore")
-            return importlib.import_module("arviz")
-    except ImportError:
-        raise InputError(_MISSING) from None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,17 +180,10 @@ class Marginal:
 
 
 def marginal(result: FitResult, optimum: Optimum, index: int, draws: np.ndarray) -> Marginal:
-    """What draws say of a parameter.
-
-    Arguments:
-        result: of the fit.
-        optimum: where it ended.
-        index: position of the parameter.
-        draws: shape (chain, draw).
-    """
+    """What draws, shape (chain, draw), say of the parameter of an index."""
     low, high = np.percentile(draws, (2.5, 97.5))
     path = optimum.labels[index].partition(" of ")[0]
-    known = list(map(finite_or_none, mixing(draws)))
+    r_hat, ess_bulk, ess_tail = map(finite_or_none, mixing(draws))
     return Marginal(
         unit=result.parameters[path].unit if path in result.parameters else "",
         fitted=float(optimum.values[index]),
@@ -223,17 +191,17 @@ def marginal(result: FitResult, optimum: Optimum, index: int, draws: np.ndarray)
         deviation=float(np.std(draws, ddof=1)),
         interval=(float(low), float(high)),
         linear=_linear(optimum, index),
-        r_hat=known[0],
-        ess_bulk=known[1],
-        ess_tail=known[2],
+        r_hat=r_hat,
+        ess_bulk=ess_bulk,
+        ess_tail=ess_tail,
     )
 
 
 def _linear(optimum: Optimum, index: int) -> tuple[float, float] | None:
     """The interval that the fit reports, by Student's t and within the bounds."""
     statistics = optimum.statistics
-    error = statistics.standard_errors.get(index)
-    if error is None or not np.isfinite(error):
+    error = finite_or_none(statistics.standard_errors.get(index))
+    if error is None:
         return None
     reach = student_reach(statistics.degrees_of_freedom.get(index, np.inf)) * error
     value, lower, upper = optimum.values[index], *(each[index] for each in optimum.bounds)
@@ -251,14 +219,9 @@ def doubts(
     failed: Sequence[str],
     asked: int,
 ) -> list[str]:
-    """One sentence for each thing that is wrong with draws.
+    """One sentence for each thing that is wrong with draws, shape (chain, draw, parameter).
 
-    Arguments:
-        marginals: by label.
-        divergences: of all draws.
-        samples: shape (chain, draw, parameter).
-        failed: why chains were not drawn.
-        asked: how many chains there were to be.
+    `failed` says why chains were not drawn, of as many as were `asked` for.
     """
     sentences = []
     chains = samples.shape[0]
@@ -292,7 +255,7 @@ def doubts(
         )
     if divergences:
         sentences.append(
-            f"{divergences} of {samples.shape[0] * samples.shape[1]} draws diverged, so a part of "
+            f"{divergences} of {chains * samples.shape[1]} draws diverged, so a part of "
             "the posterior may be missing: free fewer parameters, or give priors or bounds that "
             "keep away from where the model fails"
         )
@@ -397,21 +360,13 @@ class Posterior:
         return tuple(self.summary.parameters)
 
     def draws_of(self, label: str) -> Float[np.ndarray, "chain draw"]:
-        """The draws of one parameter, SI.
-
-        Raises:
-            InputError: there is none of this name.
-        """
+        """The draws of one parameter, SI."""
         if label not in self.labels:
             raise InputError(f"'{label}' was not free in this fit: use one of {self.labels}")
         return self.samples[..., self.labels.index(label)]
 
     def to_arviz(self) -> Any:
-        """The draws as ArviZ takes them: `InferenceData` of ArviZ 0, `DataTree` of ArviZ 1.
-
-        Raises:
-            InputError: ArviZ is not installed.
-        """
+        """The draws as ArviZ takes them: `InferenceData` of ArviZ 0, `DataTree` of ArviZ 1."""
         posterior = {label: self.draws_of(label) for label in self.labels}
         statistics = {
             "lp": -self.energy,
@@ -435,17 +390,11 @@ _ENDS = (2.5, 50.0, 97.5)
 def bands(
     result: FitResult, runs: Sequence[Run], optimum: Optimum, draws: np.ndarray
 ) -> tuple[dict[str, Band], ...]:
-    """Where each channel of each run is predicted to be.
+    """Where each channel of each run is predicted to be, by the programs of the fit.
 
-    Arguments:
-        result: of the fit, whose noise counts; widened as its standard errors are, where the
-            residuals exceed it.
-        runs: what it was fitted to.
-        optimum: predicts, by the programs of the fit.
-        draws: of all parameters, shape (draw, parameter); some `DRAWS` of them are predicted.
-
-    Returns:
-        Bands by channel, for each run; draws at which the model fails are left out.
+    The noise of the result is widened as its standard errors are, where the residuals exceed it. Of
+    draws, shape (draw, parameter), `DRAWS` are predicted; those at which the model fails are left
+    out.
     """
     chosen = np.unique(np.linspace(0, len(draws) - 1, DRAWS).round().astype(int))
     points = (optimum.at(draws[index]) for index in chosen)
@@ -472,4 +421,4 @@ def _band(predicted: np.ndarray, recorded: np.ndarray, noise: float) -> Band:
         return band
     least, most = (ends[known] for ends in band.with_noise())
     inside = (least <= recorded[known]) & (recorded[known] <= most)
-    return Band(median, low, high, noise, float(np.mean(inside)))
+    return dataclasses.replace(band, within=float(np.mean(inside)))

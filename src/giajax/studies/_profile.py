@@ -14,16 +14,10 @@ import numpy as np
 from ..fitting import FitResult, Optimum
 from ..recordings import Run
 from ..runtime.execution import Execution
+from ..runtime.records import finite_or_none
 from ..runtime.tasks import Outcome
 from ..runtime.text import InputError
-from ._profile_records import (
-    Ending,
-    Profile,
-    ProfilePoint,
-    Profiles,
-    interval_end,
-    remarks_on,
-)
+from ._profile_records import Ending, Profile, ProfilePoint, Profiles, interval_end, remarks_on
 from ._profiled import Followed, Profiled, profiled_of, quantity_names, tangent
 from ._refit import Fitted, fit_key
 
@@ -63,9 +57,9 @@ class PathPoint(NamedTuple):
 
 
 class Side(NamedTuple):
-    """A side of a profile: its points outwards, without that of the fit, and what ended it.
+    """A side of a profile: its points outwards, and what ended it.
 
-    Where a better fit with the value of the fit itself was found, that is the first of them.
+    That of the fit itself is among them only where a better fit with its value was found.
     """
 
     points: list[PathPoint]
@@ -110,17 +104,9 @@ class _Walk:
 
 
 def walked(optimum: Optimum, profiled: Profiled, side: int, reach: float) -> Side:
-    """The profile on one side of the optimum, to a little beyond a deviance.
+    """The profile above (side 1) or below (-1) the optimum, to a little beyond a root of deviance.
 
-    Arguments:
-        optimum: of the fit.
-        profiled: the quantity.
-        side: 1 upwards, -1 downwards.
-        reach: root of the deviance at which the interval ends.
-
-    Returns:
-        The points and what ended them. The one before the last is next to the interval's end,
-        where the side ended by the level.
+    Where the side ended by the level, its point before the last is next to the interval's end.
     """
     walk = _Walk(optimum, profiled, side)
     here = optimum.at(optimum.values)
@@ -144,7 +130,6 @@ def walked(optimum: Optimum, profiled: Profiled, side: int, reach: float) -> Sid
         if side * (bound - at) <= near:
             at = bound
         new = walk.point(at, last)
-        lowest = min(point.root for point in points)
         jumped = np.isfinite(new.root) and new.root - last.root > _LARGEST
         jumped = jumped and abs(at - last.at) > _SHORTEST * profiled.size
         if (not new.fit.converged or jumped) and retries < _RETRIES:
@@ -158,34 +143,27 @@ def walked(optimum: Optimum, profiled: Profiled, side: int, reach: float) -> Sid
         points.append(new)
         if new.root < last.root - _FALL:
             points = walk.improved(points)
-            lowest = min(point.root for point in points)
         rise = points[-1].root - points[-2].root
-        if _above(points[-1].root, lowest) >= reach:
+        if _above(points[-1].root, points) >= reach:
             return side_of(_refined(walk, points, reach), "level")
-        if _is_flat(points, profiled, reach):
+        far = abs(points[-1].at - profiled.value) > _FAR * reach * profiled.size
+        if far and len(points) > 3 and points[-1].root - points[-4].root < _RISE:
             return side_of(points, "flat")
         growth = _GROWTH if rise <= 0 else np.clip(_STEP / rise, _SHRINKING, _GROWTH)
         step = abs(points[-1].at - points[-2].at) * float(growth)
     return side_of(points, "unfinished")
 
 
-def _above(root: float, lowest: float) -> float:
-    """Root of the deviance from the lowest point, which is the optimum or below it."""
-    lowest = min(lowest, 0.0)
+def _above(root: float, points: list[PathPoint]) -> float:
+    """Root of the deviance from the lowest of some points, which is the optimum or below it."""
+    lowest = min(0.0, *(point.root for point in points))
     return float(np.sqrt(max(np.sign(root) * root**2 + lowest**2, 0.0)))
-
-
-def _is_flat(points: list[PathPoint], profiled: Profiled, reach: float) -> bool:
-    """Whether the deviance does not rise any more, far from the optimum."""
-    far = abs(points[-1].at - profiled.value) > _FAR * reach * profiled.size
-    return far and len(points) > 3 and points[-1].root - points[-4].root < _RISE
 
 
 def _refined(walk: _Walk, points: list[PathPoint], reach: float) -> list[PathPoint]:
     """With a point where the interval ends, as nearly as its neighbours tell."""
     inner, outer = points[-2:]
-    lowest = min(point.root for point in points)
-    low, high = _above(inner.root, lowest), _above(outer.root, lowest)
+    low, high = _above(inner.root, points), _above(outer.root, points)
     part = (reach - low) / (high - low)
     at = inner.at + part * (outer.at - inner.at)
     if not (part > 1e-6 and 1 - part > 1e-6):
@@ -219,14 +197,7 @@ def one_side(fitted: Fitted, name: str, side: int, level: float) -> dict[str, An
 def combined(
     optimum: Optimum, profiled: Profiled, level: float, pair: tuple[Outcome, Outcome]
 ) -> Profile:
-    """The profile of a quantity.
-
-    Arguments:
-        optimum: of the fit.
-        profiled: the quantity.
-        level: of the interval.
-        pair: what came of its two sides, by `SIDES`.
-    """
+    """The profile of a quantity, from what came of its two sides, by `SIDES`."""
     centre = ProfilePoint(
         profiled.value,
         0.0,
@@ -246,10 +217,10 @@ def combined(
         reasons.append(found.get("reason", outcome.message))
     points = _best_at_each(points)
     reach = profiled.reach(level)
-    ends = [
-        _end(points, side, reach, how, bound)
-        for side, how, bound in zip(SIDES, ended, (profiled.lower, profiled.upper), strict=True)
-    ]
+    ends = []
+    for side, one, bound in zip(SIDES, ended, (profiled.lower, profiled.upper), strict=True):
+        crossed = interval_end(points, side, reach)
+        ends.append(bound if crossed is None and one == "bound" else crossed)
     interval, how = (ends[0], ends[1]), (ended[0], ended[1])
     return Profile(
         name=profiled.name,
@@ -258,8 +229,8 @@ def combined(
         standard_error=profiled.error,
         linear=profiled.linear(level),
         reach=reach,
-        lower=profiled.lower if np.isfinite(profiled.lower) else None,
-        upper=profiled.upper if np.isfinite(profiled.upper) else None,
+        lower=finite_or_none(profiled.lower),
+        upper=finite_or_none(profiled.upper),
         interval=interval,
         ended=how,
         points=tuple(points),
@@ -276,13 +247,6 @@ def _best_at_each(points: Sequence[ProfilePoint]) -> list[ProfilePoint]:
         if point.deviance < known.deviance:
             best[point.value] = point
     return [best[value] for value in sorted(best)]
-
-
-def _end(
-    points: Sequence[ProfilePoint], side: int, reach: float, ended: Ending, bound: float
-) -> float | None:
-    crossed = interval_end(points, side, reach)
-    return bound if crossed is None and ended == "bound" else crossed
 
 
 def _shared(optimum: Optimum, values: np.ndarray) -> tuple[float, ...]:
@@ -316,17 +280,14 @@ def profile(
     give no end. On a problem that is linear the interval is that of the standard error.
 
     Arguments:
-        result: of a fit that converged.
-        runs: what it was fitted to, in their order.
+        result, runs: of a fit that converged, and what it was fitted to, in their order.
         paths: of free parameters (also of what single runs have, such as `initial.angle`), or
             names of `result.derived`; by default all free parameters of the model.
         level: of the intervals.
         known: profiles of this fit and level, which are not made again; those asked for are
             returned with the new ones.
-        how: who does the sides, each a task, as of `giajax.runtime.execution.Execution`.
-
-    Returns:
-        The profiles. After Ctrl-C, those sides that were not done are "stopped".
+        how: who does the sides, each a task, as of `giajax.runtime.execution.Execution`; after
+            Ctrl-C, those that were not done are "stopped".
 
     Raises:
         InputError: a path that was not free, a level that is none, a fit that did not converge, or

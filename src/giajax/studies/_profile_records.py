@@ -119,12 +119,6 @@ class Profiles(
 def load_profiles(path: str | Path) -> Profiles:
     """Read a `profiles.json`, or that of the folder of a result.
 
-    Arguments:
-        path: of the file, or of its folder.
-
-    Raises:
-        InputError: there is no such file, or it holds no profiles.
-
     Example:
         >>> profiles = load_profiles("giajax-out/base_step")  # doctest: +SKIP
         >>> profiles["air.drag_coefficient"].interval  # doctest: +SKIP
@@ -146,26 +140,18 @@ LOWER = 0.01
 
 
 def interval_end(points: Sequence[ProfilePoint], side: int, reach: float) -> float | None:
-    """Where the deviance above its lowest comes to the square of `reach`.
+    """The upper (side 1) or lower (-1) value where the deviance above its lowest is `reach`^2.
 
     Of the root, which is nearly straight, the inverse is interpolated by a monotone cubic
-    (Fritsch and Carlson 1980).
-
-    Arguments:
-        points: by value, ascending, the estimate among them.
-        side: 1 for the upper end, -1 for the lower one.
-        reach: root of the deviance.
-
-    Returns:
-        The value of the quantity; None where the points do not come to it.
+    (Fritsch and Carlson 1980). Points are by value, ascending; None where they do not come to it.
     """
     ordered = points if side > 0 else points[::-1]
     lowest = min(range(len(ordered)), key=lambda index: ordered[index].deviance)
     base = ordered[lowest].deviance
     roots = [float(np.sqrt(max(point.deviance - base, 0.0))) for point in ordered[lowest:]]
     values = [point.value for point in ordered[lowest:]]
-    crossing = next((index for index, root in enumerate(roots) if root >= reach), None)
-    if crossing is None or crossing == 0:
+    crossing = next((index for index, root in enumerate(roots) if root >= reach), 0)
+    if not crossing:
         return None
     # Slow to import, and needed for profiles alone.
     from scipy.interpolate import PchipInterpolator
@@ -188,15 +174,7 @@ def remarks_on(
     reasons: tuple[str, str],
     value: float,
 ) -> tuple[str, ...]:
-    """Sentences on what a reader must know before using the interval.
-
-    Arguments:
-        points: by value, ascending.
-        interval: the ends that were found.
-        ended: what ended each side.
-        reasons: more of it, in a word.
-        value: the estimate.
-    """
+    """Sentences on what a reader must know before using the interval around the estimate."""
     said = []
     lowest = min(points, key=lambda point: point.deviance)
     if lowest.deviance < -LOWER:
@@ -211,38 +189,30 @@ def remarks_on(
             said.append(f"its {word} end was not found: fit again from the lowest cost")
     if ended == ("bound", "bound"):
         said.append("the data say nothing within its bounds")
-    inside = [
-        point
-        for point in points
-        if (interval[0] is None or point.value >= interval[0])
-        and (interval[1] is None or point.value <= interval[1])
-    ]
-    at_optimum = next((point.at_bounds for point in points if point.value == value), ())
+    low = -np.inf if interval[0] is None else interval[0]
+    high = np.inf if interval[1] is None else interval[1]
+    inside = [point for point in points if low <= point.value <= high]
+    at_optimum = {name for point in points if point.value == value for name in point.at_bounds}
     met: dict[str, float] = {}
     left: dict[str, float] = {}
     for point in sorted(inside, key=lambda point: abs(point.value - value)):
-        for name in set(point.at_bounds) - set(at_optimum):
-            met.setdefault(name, point.value)
-        for name in set(at_optimum) - set(point.at_bounds):
-            left.setdefault(name, point.value)
+        met = dict.fromkeys(set(point.at_bounds) - at_optimum, point.value) | met
+        left = dict.fromkeys(at_optimum - set(point.at_bounds), point.value) | left
     said += [f"{name} meets its bound at {met[name]:.5g}" for name in sorted(met)]
     said += [f"{name} leaves its bound at {left[name]:.5g}" for name in sorted(left)]
     return tuple(said)
 
 
 def _of_side(ended: Ending, reason: str, word: str) -> str | None:
-    if ended == "bound":
-        return f"one-sided: its {word} end is its bound"
-    if ended == "flat":
-        return f"the data give it no {word} end" + (f": {reason}" if reason else "")
-    if ended == "failed":
-        why = {
-            "wall": "the model cannot be evaluated beyond",
-            "iterations": "a fit used up its iterations",
-        }.get(reason, reason if " " in reason else "a fit did not end at an optimum")
-        return f"its {word} end was not reached: {why}"
-    if ended == "unfinished":
-        return f"its {word} end was not reached: the deviance rises too slowly"
-    if ended == "stopped":
-        return f"its {word} side was stopped"
-    return None
+    why = {
+        "wall": "the model cannot be evaluated beyond",
+        "iterations": "a fit used up its iterations",
+    }.get(reason, reason if " " in reason else "a fit did not end at an optimum")
+    sentences = {
+        "bound": f"one-sided: its {word} end is its bound",
+        "flat": f"the data give it no {word} end{f': {reason}' if reason else ''}",
+        "failed": f"its {word} end was not reached: {why}",
+        "unfinished": f"its {word} end was not reached: the deviance rises too slowly",
+        "stopped": f"its {word} side was stopped",
+    }
+    return sentences.get(ended)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..fitting import BlockJacobian, FitResult, Optimum, Point, student_reach
+from ..runtime.records import finite_or_none
 from ..runtime.text import InputError, one_of
 
 # Singular values of the normalised Jacobian below this part of the largest are rounding: what they
@@ -17,12 +18,7 @@ _LEAST = 1e-7
 def weights(jacobian: BlockJacobian, movable: np.ndarray) -> np.ndarray:
     """The inverse of J^T J, of the columns that may move; zero elsewhere.
 
-    Arguments:
-        jacobian: of the residuals by the parameters.
-        movable: which may move, shape (parameter,).
-
-    Returns:
-        Shape (parameter, parameter). What leaves all residuals unchanged has a large, finite part.
+    What leaves all residuals unchanged has a large, finite part.
     """
     norms = jacobian.norms()
     columns = np.flatnonzero(movable & (norms > 0))
@@ -43,17 +39,10 @@ def tangent(
     bounds: tuple[np.ndarray, np.ndarray],
     side: int,
 ) -> np.ndarray:
-    """The change of all parameters that costs least where a quantity moves by one.
+    """The change of all parameters that costs least where a quantity of this gradient moves by one.
 
-    Arguments:
-        jacobian: of the residuals by the parameters.
-        gradient: of the quantity by them.
-        values: of the parameters, shape (parameter,); those at a bound do not move beyond it.
-        bounds: of the parameters.
-        side: 1 where the quantity is to grow, -1 where it is to fall.
-
-    Returns:
-        Shape (parameter,); zero where nothing that may move changes the quantity.
+    The quantity is to grow (side 1) or fall (-1), and what is at a bound does not move beyond it.
+    Zero where nothing that may move changes the quantity.
     """
     movable = np.ones(len(values), dtype=bool)
     for _ in range(len(values) + 1):
@@ -72,7 +61,7 @@ def tangent(
 def beyond(
     values: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], step: np.ndarray
 ) -> np.ndarray:
-    """Which of the parameters are at a bound that a step would lead beyond, shape (parameter,)."""
+    """Which of the parameters are at a bound that a step would lead beyond."""
     lower, upper = bounds
     return ((values <= lower) & (step < 0)) | ((values >= upper) & (step > 0))
 
@@ -114,26 +103,16 @@ class Followed(NamedTuple):
 
 
 def constrained(optimum: Optimum, quantity: Quantity, held: float, start: np.ndarray) -> Followed:
-    """Fit with a quantity held.
-
-    Arguments:
-        optimum: the fit.
-        quantity: what is held.
-        held: its value.
-        start: of all free parameters, shape (parameter,); the quantity need not have its value.
-
-    Returns:
-        Where it ended.
-    """
+    """Fit with a quantity held at a value, which it need not have at the start."""
     bounds = optimum.bounds
     alive, bread = optimum.statistics.alive, optimum.statistics.bread
     metric = np.zeros((len(start), len(start)))
     # What only a combination is known of may move, too.
     metric[np.ix_(alive, alive)] = bread + 1e-6 * np.diag(np.diag(bread))
-    restored = _restored(quantity, held, np.clip(start, *bounds), bounds, metric)
-    if restored is None:
+    values = _restored(quantity, held, np.clip(start, *bounds), bounds, metric)
+    if values is None:
         return Followed(start, np.inf, None, "wall", False)
-    values, point = restored, optimum.at(restored)
+    point = optimum.at(values)
     if not np.isfinite(point.cost):
         return Followed(values, np.inf, None, "wall", False)
     damping = 1e-6
@@ -170,7 +149,6 @@ def _step(
     root = jacobian.reduced()
     normal = root.T @ root + damping * np.diag(norms**2)
     movable = norms > 0
-    metric, step = np.zeros_like(normal), np.zeros(len(values))
     for _ in range(len(values) + 1):
         columns = np.flatnonzero(movable)
         metric, step = np.zeros_like(normal), np.zeros(len(values))
@@ -183,7 +161,6 @@ def _step(
         along, across = metric @ gradient, metric @ slope
         length = float(gradient @ along)
         if not length > 0:
-            step = np.zeros(len(values))
             break
         step = along * float(gradient @ across) / length - across
         leaves = movable & beyond(values, bounds, step)
@@ -253,7 +230,7 @@ class Profiled:
     size: float
     position: int | None
     quantity: Quantity
-    fixed: bool = False
+    fixed: bool
 
     def reach(self, level: float) -> float:
         """Root of the deviance at which an interval ends."""
@@ -286,11 +263,8 @@ class Profiled:
 def quantity_names(result: FitResult, optimum: Optimum, asked: Sequence[str] | None) -> list[str]:
     """What is to be profiled, by the names that `profiled_of` takes.
 
-    Arguments:
-        result: of the fit.
-        optimum: its optimum.
-        asked: labels, paths (of an array, or of what has a value for each run, all of its values)
-            or names of derived quantities; None for all free parameters of the model.
+    `asked` are labels, paths (of an array, or of what has a value for each run, all of its values)
+    or names of derived quantities; None for all free parameters of the model.
 
     Raises:
         InputError: there is no such quantity.
@@ -298,13 +272,15 @@ def quantity_names(result: FitResult, optimum: Optimum, asked: Sequence[str] | N
     shared = optimum.labels[: optimum.state.problem.shared]
     names: list[str] = []
     for path in shared if asked is None else asked:
-        found = [
-            label
-            for label in optimum.labels
-            if path in (label, label.partition(" of ")[0], label.partition("[")[0])
-        ]
-        if path in result.derived:
-            found = [path]
+        found = (
+            [path]
+            if path in result.derived
+            else [
+                label
+                for label in optimum.labels
+                if path in (label, label.partition(" of ")[0], label.partition("[")[0])
+            ]
+        )
         if not found:
             known = one_of([*shared, *result.derived])
             raise InputError(
@@ -316,70 +292,43 @@ def quantity_names(result: FitResult, optimum: Optimum, asked: Sequence[str] | N
 
 
 def profiled_of(result: FitResult, optimum: Optimum, name: str) -> Profiled:
-    """A quantity by its name.
+    """A quantity by its name, one of `quantity_names`."""
+    statistics, position = optimum.statistics, None
+    quantity: Quantity
+    if (estimate := result.derived.get(name)) is not None:
+        quantity = optimum.derived(name)
+        value, gradient = quantity(optimum.values)
+        error, unit, size = estimate.standard_error, estimate.unit, abs(value) or 1.0
+        lower = -np.inf if estimate.lower is None else estimate.lower
+        upper = np.inf if estimate.upper is None else estimate.upper
+    else:
+        position = index = optimum.position(name)
+        value, gradient = float(optimum.values[index]), np.eye(len(optimum.labels))[index]
+        error = finite_or_none(statistics.standard_errors.get(index))
+        lower, upper = (float(bound[index]) for bound in optimum.bounds)
+        path, size = name.partition(" of ")[0], float(optimum.state.sizes[index])
+        unit = result.parameters[path].unit if path in result.parameters else "SI"
 
-    Arguments:
-        result: of the fit.
-        optimum: its optimum.
-        name: one of `quantity_names`.
-    """
-    statistics = optimum.statistics
-    if name in result.derived:
-        return _derived(result, optimum, name)
-    index = optimum.position(name)
-    gradient = np.eye(len(optimum.labels))[index]
-    error = statistics.standard_errors.get(index)
-    error = error if error is not None and np.isfinite(error) else None
-    lower, upper = (float(bound[index]) for bound in optimum.bounds)
-    path = name.partition(" of ")[0]
-    unit = result.parameters[path].unit if path in result.parameters else "SI"
-    factor = statistics.scale
+        def quantity(values: np.ndarray) -> tuple[float, np.ndarray]:
+            return float(values[index]), gradient
+
+    slope, factor = gradient[statistics.alive], statistics.scale
     if error is not None:
-        factor = (error / _spread(optimum, gradient)) ** 2
-    size = float(optimum.state.sizes[index])
-    return Profiled(
-        name=name,
-        unit=unit,
-        value=float(optimum.values[index]),
-        error=error,
-        freedom=statistics.degrees_of_freedom.get(index, np.inf),
-        factor=factor,
-        lower=lower,
-        upper=upper,
-        size=_UNKNOWN * size if error is None else error,
-        position=index,
-        quantity=lambda values: (float(values[index]), gradient),
-        fixed=index not in statistics.alive,
-    )
-
-
-def _derived(result: FitResult, optimum: Optimum, name: str) -> Profiled:
-    statistics, estimate = optimum.statistics, result.derived[name]
-    quantity = optimum.derived(name)
-    value, gradient = quantity(optimum.values)
-    error, factor = estimate.standard_error, statistics.scale
-    if error is not None:
-        factor = (error / _spread(optimum, gradient)) ** 2
+        # Over its standard error if the cost were all there is to know.
+        factor = (error / float(np.sqrt(slope @ statistics.bread @ slope))) ** 2
     # As few degrees of freedom as any parameter that it follows from.
     known = [statistics.degrees_of_freedom.get(int(i), np.inf) for i in np.flatnonzero(gradient)]
     return Profiled(
         name=name,
-        unit=estimate.unit,
+        unit=unit,
         value=value,
         error=error,
         freedom=min(known, default=np.inf),
         factor=factor,
-        lower=-np.inf if estimate.lower is None else estimate.lower,
-        upper=np.inf if estimate.upper is None else estimate.upper,
-        size=_UNKNOWN * (abs(value) or 1.0) if error is None else error,
-        position=None,
+        lower=lower,
+        upper=upper,
+        size=_UNKNOWN * size if error is None else error,
+        position=position,
         quantity=quantity,
-        fixed=not np.any(gradient[statistics.alive]),
+        fixed=not np.any(slope),
     )
-
-
-def _spread(optimum: Optimum, gradient: np.ndarray) -> float:
-    """Standard error of a quantity if the cost were all there is to know."""
-    statistics = optimum.statistics
-    slope = gradient[statistics.alive]
-    return float(np.sqrt(slope @ statistics.bread @ slope))

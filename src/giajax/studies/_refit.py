@@ -1,6 +1,5 @@
 """A fit again, changed a little: from where another one ended."""
 
-import abc
 import dataclasses
 import functools
 import hashlib
@@ -37,25 +36,20 @@ from ..schema.parameters import Parameter, declared, elements, get, switched_on
 _INSIDE = 1e-3
 
 
+def end_values(result: FitResult) -> dict[str, float]:
+    """Values of the free parameters where a fit ended, by path, SI."""
+    return {path: float(estimate.value) for path, estimate in result.free.items()}
+
+
 def with_fitted_states(result: FitResult, runs: Sequence[Run]) -> list[Run]:
-    """The runs of a result, each with the initial state that was fitted for it.
-
-    Arguments:
-        result: of a fit.
-        runs: those that were fitted, in their order.
-
-    Returns:
-        The runs; one without an initial state of its own is the same.
-    """
+    """The runs of a result, in their order, each with the initial state that was fitted for it."""
     return [_begun_as(result, run, record) for run, record in zip(runs, result.runs, strict=True)]
 
 
 def with_fitted_state(result: FitResult, run: Run) -> Run:
-    """A run with the initial state that was fitted for it, where it was.
+    """A run with the initial state that was fitted for it.
 
-    Arguments:
-        result: of a fit.
-        run: any; one of another name or another file than those that were fitted is the same.
+    One of another name or another file than those that were fitted is the same.
     """
     for record in result.runs:
         if (record.name, record.sha256) == (run.name, run.sha256):
@@ -64,13 +58,10 @@ def with_fitted_state(result: FitResult, run: Run) -> Run:
 
 
 def _begun_as(result: FitResult, run: Run, record: RunFit) -> Run:
-    own = {path: estimate.value for path, estimate in record.parameters.items()}
-    return _begun(result.model, run, own)
-
-
-def _begun(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Run:
+    model = result.model
     if not capabilities.free_inputs(model, run):
         return run
+    own = {path: estimate.value for path, estimate in record.parameters.items()}
     inputs = prepared_with(model, run, own)
     contents = run.definition.contents()
     contents["initial"] = {**capabilities.initial_section(model, inputs), "free": True}
@@ -78,19 +69,15 @@ def _begun(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Run:
 
 
 def optimum_of(result: FitResult, runs: Sequence[Run]) -> Optimum:
-    """Where a fit ended, to be asked again without compiling anew.
-
-    Arguments:
-        result: of a fit.
-        runs: what it was fitted to, in their order.
+    """Where a fit of runs, in their order, ended: to be asked again without compiling anew.
 
     Raises:
         InputError: the model cannot be evaluated there.
     """
     settings, model = FitSettings.shared_with(result.config), result.model
-    values = {path: estimate.value for path, estimate in result.free.items()}
+    values = end_values(result)
     start = {
-        part.path: _inside(part, float(values[part.path]), settings.bounds)
+        part.path: _inside(part, values[part.path], settings.bounds)
         for path in values
         for part in elements(model, path)
     }
@@ -120,20 +107,14 @@ def refit(
     """Fit the same runs again from where a fit ended, with more parameters or another model.
 
     Arguments:
-        result: the fit to begin from: its free parameters with their priors, bounds, ties and
-            groups of runs, and its loss, are those of the new one.
-        runs: what it was fitted to.
+        result, runs: the fit to begin from: its free parameters with their priors, bounds, ties
+            and groups of runs, and its loss, are those of the new one.
         model: in place of the fitted model; it must have the free parameters.
         free: paths of further parameters to free; those that are left out are switched on.
-        start: start values by path, SI, in place of those that the model has.
+        start: start values by path, SI, in place of those that the model has. What ended at a
+            bound starts a little inside of it.
         fix: values by path, SI, that are set and held; what was free of it no longer is.
         noise_model, max_iterations, check: as of `giajax.fit`; the noise model is that of `result`.
-
-    Returns:
-        The new result. What ended at a bound starts a little inside of it.
-
-    Raises:
-        InputError: as `giajax.fit`.
     """
     model = result.model if model is None else model
     own, model = _own_values(result, model), switched_on(model, free)
@@ -203,9 +184,6 @@ def _inside(parameter: Parameter, value: float, bounds: Mapping[str, Sequence[fl
 class Fitted:
     """A result with its runs, which any process can take up.
 
-    A task asks it for its `optimum`, which a process evaluates once, however many tasks it does:
-    its programs are loaded or compiled for the first of them.
-
     Attributes:
         result: without predictions.
         runs: that it was fitted to, in their order.
@@ -216,12 +194,7 @@ class Fitted:
 
     @classmethod
     def of(cls, result: FitResult, runs: Run | Sequence[Run], *, converged: bool = False) -> Self:
-        """A result and its runs.
-
-        Arguments:
-            result: of `fit` or `load_result`.
-            runs: what it was fitted to, in their order.
-            converged: whether the result must have.
+        """A result, which must have `converged` or not, and its runs, in their order.
 
         Raises:
             InputError: these are not its runs, or it has not converged.
@@ -230,11 +203,10 @@ class Fitted:
             raise InputError(
                 "the fit did not converge, and there is no optimum: fit it to its end first"
             )
-        several = tuple(matching_runs(result.runs, runs))
         bare = dataclasses.replace(
             result, predictions=(), held_predictions=(), seconds=Seconds(0.0, 0.0)
         )
-        return cls(bare, several)
+        return cls(bare, tuple(matching_runs(result.runs, runs)))
 
     @functools.cached_property
     def task_key(self) -> str:
@@ -255,24 +227,19 @@ class Fitted:
 
         Arguments:
             function: at the top of a module; its first argument is `fitted`.
-            each: the other arguments, of each task.
+            each: the other arguments, of each task, in the order of the outcomes.
             how: as of `Execution`.
-
-        Returns:
-            One for each, in their order; of those that Ctrl-C came before, "stopped".
         """
         tasks = [Task(function, {"fitted": self, **arguments}) for arguments in each]
         return run_tasks(tasks, **how)
 
     def optimum(self) -> Optimum:
-        """Where the fit ended, kept in this process for the tasks to come.
+        """Where the fit ended, evaluated or compiled once a process, however many tasks ask for it.
 
         Raises:
             InputError: the model cannot be evaluated there.
         """
-        return prepared(
-            ("optimum", self.task_key), lambda: optimum_of(self.result, list(self.runs))
-        )
+        return prepared(("optimum", self.task_key), lambda: optimum_of(self.result, self.runs))
 
 
 def fit_key(result: FitResult) -> str:
@@ -309,8 +276,8 @@ def _counted(value: Any) -> Any:
 class StudyRecord:
     """What a study of a fit found, as a file beside its `result.json`.
 
-    A study derives a frozen dataclass from it, with the keywords below, and says by `is_of` whose
-    it is. How it is shown is its `giajax.report.RecordView`.
+    A study derives a frozen dataclass from it, with the keywords below. How it is shown is its
+    `giajax.report.RecordView`.
 
     Attributes:
         file: name of the file.
@@ -329,10 +296,12 @@ class StudyRecord:
     ) -> None:
         cls.file, cls.head, cls.remedy, cls.indent = file, head, remedy, indent
 
-    @abc.abstractmethod
     def is_of(self, result: FitResult) -> bool:
-        """Whether it is of this fit, and not of another one that was in its place."""
-        raise NotImplementedError
+        """Whether it is of this fit, and not of another one that was in its place.
+
+        By default: whether the fit ended at the values that the record calls `fitted`.
+        """
+        return getattr(self, "fitted", None) == end_values(result)
 
     def to_json(self) -> str:
         """The text of its file; what is not finite is null."""

@@ -68,15 +68,9 @@ def responses_of(
 ) -> list[Response]:
     """The responses of each run where a fit ended, what is tied moving with what it follows from.
 
-    Arguments:
-        result: of the fit.
-        runs: that were fitted.
-        model: the fitted one, with further parts or another choice.
-        directions: what to differentiate by.
-        variant: name of that choice; what not all runs share is as it is with it.
-
-    Raises:
-        InputError: the model cannot be evaluated there, or lacks what a tie follows from.
+    The model is the fitted one, with further parts or another choice: what not all runs share is as
+    it is with the `variant` of that name. An InputError where it cannot be evaluated there, or
+    lacks what a tie follows from.
     """
     values = varied_values(result)
     if variant is not None and any(values):
@@ -116,12 +110,11 @@ class Coordinates:
         """The coordinates of a fit, and what was known of them before."""
         paths = list(result.free)
         layout = layout_of(result.runs, paths, result.config.get("groups", {}))
-        alone = {
+        order = [
             place
             for place in range(layout.size)
-            if len(result.runs) > 1 and sum(place in of_run for of_run in layout.of_runs) == 1
-        }
-        order = [place for place in range(layout.size) if place not in alone]
+            if len(result.runs) < 2 or sum(place in of_run for of_run in layout.of_runs) != 1
+        ]
         position = {place: index for index, place in enumerate(order)}
         places = tuple(
             tuple(position.get(place, -1) for place in of_run) for of_run in layout.of_runs
@@ -165,10 +158,8 @@ class Coordinates:
     def split(self, run: int, columns: Array, own: Array) -> tuple[Array, Array]:
         """Columns of the free parameters by the shared coordinates, and by those of a run.
 
-        Arguments:
-            run: its position.
-            columns: by each free parameter, shape (sample, channel, parameter).
-            own: by what is free in each run by its nature, shape (sample, channel, own).
+        All have the shape (sample, channel, column). The latter go before its `own`, by what is
+        free in each run by its nature.
         """
         places = np.asarray(self.places[run], dtype=int)
         shared = np.zeros((*columns.shape[:2], len(self.shared)))
@@ -236,14 +227,14 @@ class Projected:
         known: positions of the rows that are priors.
     """
 
-    residual: np.ndarray
-    columns: np.ndarray
-    norms: np.ndarray
+    residual: Array
+    columns: Array
+    norms: Array
     parameters: int
     lost: float
-    series: tuple[np.ndarray, ...]
+    series: tuple[Array, ...]
     timed: tuple[bool, ...]
-    known: np.ndarray
+    known: Array
 
     @property
     def values(self) -> int:
@@ -262,29 +253,14 @@ def projected(tables: Sequence[Table], known: np.ndarray | None = None) -> Proje
     What is free in one run alone is taken out of that run first (Frisch, Waugh and Lovell), so
     that no matrix with the parameters of all runs is ever made. A prior is one more row of the
     residual, to which no tested column responds: what is known of a fitted parameter keeps it from
-    imitating what is tested.
-
-    Arguments:
-        tables: of the runs.
-        known: rows of the residual that are priors of what all runs share, and their derivatives
-            by it, shape (prior, 1 + fitted).
-
-    Returns:
-        One row a measured value, and one a prior.
+    imitating what is tested. Those of what all runs share are `known`, shape (prior, 1 + fitted).
     """
     parts, series, timed, priors = [], [], [], []
     first, own, norms, lost = 0, 0, 0.0, 0.0
     for table in tables:
-        measured = table.measured
-        cells = np.concatenate(
-            [
-                table.residual[measured][:, None],
-                table.fitted[measured],
-                table.asked[measured],
-            ],
-            axis=1,
-        )
-        norms = norms + np.sum(table.asked[measured] ** 2, axis=0)
+        measured, asked = table.measured, table.asked[table.measured]
+        cells = np.column_stack([table.residual[measured], table.fitted[measured], asked])
+        norms = norms + np.sum(asked**2, axis=0)
         count, mine = len(cells), table.own[measured]
         if table.known is not None:
             cells = np.concatenate([cells, _rows(table.known[:, :1], cells.shape[1])])
@@ -308,9 +284,9 @@ def projected(tables: Sequence[Table], known: np.ndarray | None = None) -> Proje
     basis = basis_of(whole[:, 1 : 1 + count])
     of_priors = np.concatenate(priors)
     rest = np.concatenate([whole[:, :1], whole[:, 1 + count :]], axis=1)
-    rest = rest - basis @ (basis.T @ rest)
-    # Once more: what is nearly imitated has lost most of its digits.
-    rest = rest - basis @ (basis.T @ rest)
+    # Twice: what is nearly imitated has lost most of its digits.
+    for _ in range(2):
+        rest = rest - basis @ (basis.T @ rest)
     return Projected(
         residual=rest[:, 0],
         columns=rest[:, 1:],
@@ -383,12 +359,7 @@ def robust_weights(result: FitResult, runs: Sequence[Run], at: Sequence[Response
 
 @dataclasses.dataclass(frozen=True)
 class Weighing:
-    """How the cells of each run count.
-
-    Attributes:
-        factors: one over the noise, times the root of the weight of the loss, 0 where nothing
-            was measured; each (sample, channel).
-    """
+    """How the cells of each run count: each (sample, channel), by 0 where nothing was measured."""
 
     factors: list[Array]
 
@@ -396,7 +367,7 @@ class Weighing:
     def of(
         cls, at: Sequence[Response], noise: Sequence[Mapping[str, float]], weights: Sequence[Array]
     ) -> "Weighing":
-        """From standard deviations by channel and the roots of weights."""
+        """One over the noise of each channel, times the root of the weight of the loss."""
         factors = []
         for response, deviations, weight in zip(at, noise, weights, strict=True):
             sigma = np.asarray([deviations[name] for name in response.channels])
@@ -418,14 +389,9 @@ class Weighing:
         coordinates: Coordinates,
         switches: Sequence[Sequence[Array]] = (),
     ) -> list[Table]:
-        """Weighted residuals and columns of each run.
+        """Weighted residuals and columns of each run, those of the fitted parameters first.
 
-        Arguments:
-            at: responses, the columns of the fitted parameters first.
-            runs: their runs.
-            coordinates: of the fit.
-            switches: of each switch, the change of the predictions of each run that it makes;
-                they are tested after the other columns.
+        The changes of the predictions of each run that switches make are tested after the others.
         """
         tables = []
         count = len(coordinates.places[0])
@@ -474,10 +440,7 @@ class Score:
 
 
 def score(
-    rest: Projected,
-    tests: Sequence[int],
-    lower: Sequence[float],
-    upper: Sequence[float],
+    rest: Projected, tests: Sequence[int], lower: Sequence[float], upper: Sequence[float]
 ) -> Score:
     """The test of one column, or of several together.
 
@@ -485,14 +448,8 @@ def score(
     was stated or more, and correlated along each channel of a run as its neighbours are. Missing
     physics is such a correlation itself, which is why the noise is taken after the step.
 
-    Arguments:
-        rest: what the fit cannot imitate.
-        tests: positions of the columns.
-        lower, upper: bounds of the step of each, not above and not below 0. A bound that is 0
-            makes the test of one column one-sided.
-
-    Returns:
-        Step, drop and p-value.
+    The bounds of the step of each are not above and not below 0; one that is 0 makes the test of
+    one column one-sided.
     """
     columns = rest.columns[:, list(tests)]
     gram = columns.T @ columns
@@ -526,16 +483,14 @@ def _spread(
     # Slow to import, and only a fit whose model is inadequate comes here.
     from scipy.signal import lfilter
 
-    spread = np.zeros((columns.shape[1],) * 2)
     effective = 0.0
     # A prior has the deviation that it states, and no neighbour.
     of_priors = columns[rest.known]
-    spread += of_priors.T @ of_priors
+    spread = of_priors.T @ of_priors
     share = 1 - (rest.lost + tests) / max(rest.values, 1)
     for place, timed in zip(rest.series, rest.timed, strict=True):
         measured = place >= 0
-        count = int(np.sum(measured))
-        if not count:
+        if not (count := int(np.sum(measured))):
             continue
         noise = np.where(measured, left[place], 0.0)
         variance = max(float(np.sum(noise**2)) / max(share * count, 1.0), 1.0)

@@ -92,18 +92,10 @@ class Sensitivity:
         return tuple(bodies), np.stack(sizes, axis=-1)
 
     def information(self, noise: npt.ArrayLike) -> Float[np.ndarray, "body parameter parameter"]:
-        """Fisher information that each body carries about the parameters.
+        """Fisher information that each body carries, in 1 over the units of the parameters.
 
-        The sum over its channels and samples of s s^T / noise^2; informations of bodies add.
-
-        Arguments:
-            noise: standard deviation of white noise, SI: one number, or one per channel.
-
-        Returns:
-            Shape (body, parameter, parameter), in 1 over the units of the parameters.
-
-        Raises:
-            InputError: noise that is not positive.
+        The sum over its channels and samples of s s^T / noise^2; informations of bodies add. The
+        noise is the standard deviation of white noise, SI: one positive number, or one per channel.
         """
         deviations = np.broadcast_to(np.asarray(noise, dtype=float), (len(self.channels),))
         if not np.all(deviations > 0):
@@ -148,10 +140,7 @@ def expected_errors(information: Float[np.ndarray, "parameter parameter"]) -> np
 
 
 def sensitivity(
-    model: AbstractModel,
-    run: Run,
-    parameters: Sequence[str],
-    channels: Sequence[str] | None = None,
+    model: AbstractModel, run: Run, parameters: Sequence[str], channels: Sequence[str] | None = None
 ) -> Sensitivity:
     """Derivatives of the channels that a model predicts for a run, all by one vmapped jvp.
 
@@ -161,9 +150,6 @@ def sensitivity(
         parameters: paths; an array stands for each of its elements, and what the model leaves
             out is switched on at its default.
         channels: names without unit (`link06_z`); those that the run recorded by default.
-
-    Returns:
-        The derivatives, with what was predicted.
 
     Raises:
         InputError: an unknown parameter or channel, or none.

@@ -35,7 +35,7 @@ from ..runtime.programs import content
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
 from ..schema.parameters import Parameter
-from ._refit import fingerprint
+from ._refit import end_values, fingerprint
 
 
 def interrupted(result: FitResult, when: str) -> FitResult:
@@ -49,11 +49,6 @@ def misfit(result: FitResult) -> float:
     channels = [channel for run in result.runs for channel in run.channels.values()]
     cost = np.inf if result.cost is None else result.cost
     return float(cost + sum(c.n * np.log(c.innovation or c.noise) for c in channels))
-
-
-def end_values(result: FitResult) -> dict[str, float]:
-    """Values of the free parameters where a fit ended, by path."""
-    return {path: estimate.value for path, estimate in result.free.items()}
 
 
 def end_of(start: Mapping[str, float], result: FitResult) -> Start:
@@ -75,17 +70,10 @@ Others = Callable[[Sequence[int], Sequence[FitResult]], list[End]]
 def in_order(
     one: One, others: Others, starts: int, known: Sequence[End], fitted: Sequence[FitResult]
 ) -> list[End]:
-    """How the starts end that are begun, in their order.
+    """How the starts end that are begun, in their order; the first ones may be known.
 
     Those up to the first that converges come one by one: it compiles the programs of the others and
     chooses their tolerance. On one core or on several, each start then has the same numbers.
-
-    Arguments:
-        one: fits one of them here.
-        others: fits those that are left.
-        starts: how many there are.
-        known: the first ones, where they were fitted before.
-        fitted: their results, as far as there are any.
     """
     ended = list(known)
     while len(ended) < starts and not any(start.status == "converged" for start, _ in ended):
@@ -101,12 +89,7 @@ def in_order(
 
 
 def in_threads(one: One, most: int) -> Others:
-    """Several starts at once in this process.
-
-    Arguments:
-        one: fits one of them.
-        most: so many at once.
-    """
+    """So many starts at once in this process."""
 
     def others(numbers: Sequence[int], earlier: Sequence[FitResult]) -> list[End]:
         jobs = [functools.partial(one, number, earlier) for number in numbers]
@@ -136,13 +119,6 @@ def start_values(setup: Setup) -> list[dict[str, float]]:
     The others are a scrambled Sobol sequence, of which more starts have the same first ones. Of a
     parameter with a prior they are its quantiles, between two bounds of the fit they are evenly
     spread (their logarithms, if both are positive), and otherwise they are near those of the setup.
-
-    Arguments:
-        setup: what to fit to what; its settings say how many starts there are, their relative
-            distance where nothing else is stated, and the seed of the sequence.
-
-    Returns:
-        For each start a value for each free parameter, between its bounds.
     """
     first = {each.path: float(each.value(setup.model)) for each in setup.parameters}
     count, spread = setup.settings.starts, setup.settings.spread
@@ -162,11 +138,9 @@ def start_values(setup: Setup) -> list[dict[str, float]]:
 def _value(setup: Setup, parameter: Parameter, spread: float, share: float) -> float:
     """The value of a parameter that is above a share of all of its start values."""
     declaration, value = parameter.declaration, float(parameter.value(setup.model))
-    lower, upper = declaration.lower, declaration.upper
-    path = parameter.path
-    prior = prior_of(setup.priors, path)
+    lower, upper, path = declaration.lower, declaration.upper, parameter.path
     stated = setup.config.get("bounds", {})
-    if prior is not None:
+    if (prior := prior_of(setup.priors, path)) is not None:
         # Beyond three deviations there is no start.
         quantile = prior.centre + prior.spread * float(ndtri(np.clip(share, 1e-3, 1 - 1e-3)))
         value = float(np.exp(quantile)) if prior.logarithmic else quantile
@@ -184,10 +158,8 @@ def _value(setup: Setup, parameter: Parameter, spread: float, share: float) -> f
 def inside_bounds(setup: Setup, values: Mapping[str, float]) -> dict[str, float]:
     """Values strictly between the bounds, at which a fit may start."""
     return {
-        parameter.path: between(
-            values[parameter.path], parameter.declaration.lower, parameter.declaration.upper
-        )
-        for parameter in setup.parameters
+        each.path: between(values[each.path], each.declaration.lower, each.declaration.upper)
+        for each in setup.parameters
     }
 
 
@@ -244,14 +216,8 @@ def one_start(
 ) -> str:
     """A task: the result of a fit from one start, as JSON.
 
-    Arguments:
-        asked: what to fit to what.
-        start: values by path.
-        most: trial steps.
-        until: when the time of the fit is over, s since the epoch; None for never.
-
-    Raises:
-        InputError: the start cannot be evaluated, or there was no time to fit it to its end.
+    Of at most so many trial steps, until a time, s since the epoch. An InputError where the start
+    cannot be evaluated, or there was no time to fit it to its end.
     """
     budget = None if until is None else Budget(until - time.time())
     if budget is not None and not budget.left() > 0:
@@ -266,7 +232,6 @@ def one_start(
 def by_executor(
     setup: Setup,
     values: Sequence[Mapping[str, float]],
-    *,
     executor: Executor,
     folder: str | Path | None,
     budget: Budget | None,
@@ -274,15 +239,10 @@ def by_executor(
     progress: Callable[[Iteration], None] | None,
     spent: Callable[[], None],
 ) -> Others:
-    """Starts that the workers of an executor fit.
+    """Starts that the workers of an executor fit, with one budget together.
 
-    Arguments:
-        setup: what to fit to what.
-        values: of all starts.
-        executor, folder: as of `run_tasks`.
-        budget: of all of them together.
-        announce, progress: called with a start, and with its steps, once it has ended.
-        spent: called where there was no time for a start.
+    A start is announced, with its steps, once it has ended. `spent` is called where there was no
+    time for one.
     """
 
     def others(numbers: Sequence[int], earlier: Sequence[FitResult]) -> list[End]:
@@ -343,11 +303,7 @@ def _result(setup: Setup, text: str) -> FitResult:
 
 
 def has_earlier_starts(before: FitResult | None, setup: Setup) -> bool:
-    """Whether starts can be added to a result; an earlier version chose others, for example.
-
-    Arguments:
-        before, setup: as of `earlier_starts`; of None there are none.
-    """
+    """Whether starts can be added to a result; an earlier version chose others, for example."""
     if before is None:
         return False
     begun = setup.at_start()
@@ -363,13 +319,7 @@ def earlier_starts(
 ) -> list[Start]:
     """The starts of a result that are the first ones of another fit, and need not be fitted again.
 
-    Arguments:
-        before: of the same fit from fewer starts, or from one.
-        setup: what is fitted to what.
-        values: of all starts.
-
-    Returns:
-        Those before the first that did not come to an end, in their order.
+    Of the same fit from fewer starts: those before the first that did not come to an end.
 
     Raises:
         InputError: the result is of another fit, or its starts were others.
@@ -379,9 +329,7 @@ def earlier_starts(
         raise InputError(
             "the result to add starts to is of another fit: give the same runs and settings"
         )
-    known: Sequence[Start] = before.starts
-    if not known:
-        known = [end_of(values[0], before)]
+    known = before.starts or [end_of(values[0], before)]
     ends = ("converged", "failed")
     whole = list(itertools.takewhile(lambda start: start.status in ends, known))
     for start, wanted in zip(whole, values, strict=False):

@@ -103,7 +103,7 @@ class Measured:
         at: what it predicts for each run.
         noise: white noise, as stated or as this fit's residuals show it.
         coordinates: its coordinates, and what was known of them.
-        apart: of what was held out, by run and channel: the noise that is stated, and the errors.
+        apart: of each channel that was held out: its name, the noise that is stated, the errors.
     """
 
     suspect: Suspect | None
@@ -127,26 +127,28 @@ class Measured:
         """A fit of some runs, and what it makes of those that were held out."""
         at = responses_of(result, runs, result.model)
         noise = white_noise(result, runs, at)
-        coordinates = Coordinates.of(result)
-        return cls(suspect, removed, result, at, noise, coordinates, _errors(result, apart))
+        errors = []
+        for run in apart:
+            for name, predicted in result.predict(with_fitted_state(result, run)).items():
+                rest = predicted - run.observations[name]
+                errors.append((name, run.noise(name), rest[~np.isnan(rest)]))
+        return cls(suspect, removed, result, at, noise, Coordinates.of(result), errors)
 
     def step(self, noise: Noise) -> Step:
         """The fit under a noise that may be another one's."""
-        chi_square, values, loss = (
-            self.coordinates.squares,
-            0,
-            self.result.config.get("loss", "linear"),
-        )
+        chi_square, values = self.coordinates.squares, 0
+        loss = self.result.config.get("loss", "linear")
         for response, deviations in zip(self.at, noise, strict=True):
             sigma = [_deviation(deviations, name) for name in response.channels]
             rest = (response.predicted - response.observed) / np.asarray(sigma)
             rest = rest[~np.isnan(response.observed)]
             chi_square += float(np.sum(rho(loss, rest)))
             values += len(rest)
-        squares = [
-            (rest / (stated or _deviation(_nearest(noise, name), name))) ** 2
-            for name, stated, rest in self.apart
-        ]
+        squares = []
+        for name, stated, rest in self.apart:
+            # Where none is stated, that of a fitted run with the channel, else the first one's.
+            nearest = next((of_run for of_run in noise if name in of_run), noise[0])
+            squares.append((rest / (stated or _deviation(nearest, name))) ** 2)
         return Step(
             suspect=self.suspect,
             chi_square=chi_square,
@@ -158,11 +160,6 @@ class Measured:
         )
 
 
-def _nearest(noise: Noise, name: str) -> Mapping[str, float]:
-    """That of a run with the channel; of one that none has, the first one's."""
-    return next((deviations for deviations in noise if name in deviations), noise[0])
-
-
 def _deviation(deviations: Mapping[str, float], name: str) -> float:
     """That of a channel; of one that had another name, or was not fitted, the mean of its kind."""
     if known := deviations.get(name):
@@ -170,15 +167,6 @@ def _deviation(deviations: Mapping[str, float], name: str) -> float:
     kind = name.rpartition("_")[0]
     alike = [one for other, one in deviations.items() if other.rpartition("_")[0] == kind]
     return float(np.mean(alike or list(deviations.values())))
-
-
-def _errors(result: FitResult, runs: Sequence[Run]) -> list[tuple[str, float | None, np.ndarray]]:
-    errors = []
-    for run in runs:
-        for name, predicted in result.predict(with_fitted_state(result, run)).items():
-            rest = predicted - run.observations[name]
-            errors.append((name, run.noise(name), rest[~np.isnan(rest)]))
-    return errors
 
 
 def best_step(
@@ -289,15 +277,11 @@ def ladder(
     it: its parameters and errors are those of that fit.
 
     Arguments:
-        result: of `giajax.fit` or `giajax.load_result`.
-        runs: the runs that were fitted, in their order.
+        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
         held_out: further runs, or what was held out of the fitted ones; no step is fitted to it.
         most: how many steps.
-        tries: how many suspects are fitted at each step.
+        tries: how many suspects are fitted at each step, 1 at least.
         progress: called with each step as soon as it is there.
-
-    Returns:
-        The steps, side by side.
 
     Raises:
         InputError: as `giajax.suspects`, or `tries` is below 1.
@@ -314,7 +298,9 @@ def ladder(
         if progress is not None:
             progress(fit.step(fit.noise))
 
-    climb(Measured.of(_by_white_noise(result, several), several, apart))
+    correlated = result.noise is None or result.noise.widening
+    white = refit(result, several, noise_model="white") if correlated else result
+    climb(Measured.of(white, several, apart))
     ending = f"{most} steps were allowed"
     for _ in range(most):
         asked[-1] = found = suspects(fits[-1].result, several)
@@ -323,7 +309,8 @@ def ladder(
             ending = "no suspect that could be freed is significant"
             break
         tried, fitted_to, held = best
-        if not _is_better(tried, fits[-1], tried.noise):
+        # Each time with the noise that the fit with more in it shows.
+        if not tried.step(tried.noise).bic < fits[-1].step(tried.noise).bic:
             ending = f"{tried.step(tried.noise).change} was tried, and makes BIC larger"
             break
         several, apart = fitted_to, held
@@ -337,7 +324,8 @@ def ladder(
                 fewer = Measured.of(again, several, apart, spare, removed=True)
             except InputError:  # It cannot do without.
                 continue
-            if _is_better(fewer, fits[-1], fits[-1].noise):
+            noise = fits[-1].noise
+            if fewer.step(noise).bic < fits[-1].step(noise).bic:
                 climb(fewer)
     noise = fits[-1].noise
     steps = [
@@ -348,19 +336,11 @@ def ladder(
     return StepwiseSelection(tuple(steps), ending)
 
 
-def _by_white_noise(result: FitResult, runs: Sequence[Run]) -> FitResult:
-    """The fit, or where its noise is correlated, that by white noise."""
-    if result.noise is not None and not result.noise.widening:
-        return result
-    return refit(result, runs, noise_model="white")
-
-
 def _as_asked(result: FitResult, steps: Sequence[Step], runs: Sequence[Run]) -> FitResult:
     """The last fit, with the noise that the first one was asked for with."""
     if len(steps) == 1:
         return result
-    model = result.config.get("noise_model", "correlated")
-    last = steps[-1].result
+    model, last = result.config.get("noise_model", "correlated"), steps[-1].result
     if model == "white":
         return last
     try:
@@ -368,11 +348,6 @@ def _as_asked(result: FitResult, steps: Sequence[Step], runs: Sequence[Run]) -> 
     except InputError:  # It cannot be evaluated a little inside of its bounds.
         return last
     return again if again.status == "converged" else last
-
-
-def _is_better(one: Measured, other: Measured, noise: Noise) -> bool:
-    """Whether BIC prefers one of two fits, with the noise that the one with more in it shows."""
-    return one.step(noise).bic < other.step(noise).bic
 
 
 def _spare(steps: Sequence[Step | Measured]) -> list[Suspect]:

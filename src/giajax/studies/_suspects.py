@@ -1,12 +1,22 @@
 """Suspects: a test of everything that a fit held, switched off or left out."""
 
+import contextlib
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..fitting import FitResult, Response, Suspect, matching_runs, predict, resolved_ties, tied
+from ..fitting import (
+    FitResult,
+    Response,
+    Suspect,
+    SuspectKind,
+    matching_runs,
+    predict,
+    resolved_ties,
+    tied,
+)
 from ..models import AbstractModel, capabilities
 from ..recordings import Channel, Run
 from ..runtime.records import json_text
@@ -34,13 +44,10 @@ LEVEL = 0.05
 
 
 def promising(rows: Sequence[Suspect]) -> tuple[Suspect, ...]:
-    """Of each quantity that is testable its best row, the most promising first.
+    """Of each quantity that is testable its best row, the most promising first, as `rows` are.
 
     The elements of a vector and the whole of it are one quantity; and what the data can hardly
     tell from a row above is named there, in `alike`, and has no row of its own.
-
-    Arguments:
-        rows: in the order of `Suspects.rows`.
     """
     best: dict[str, Suspect] = {}
     covered: set[str] = set()
@@ -91,10 +98,7 @@ class Suspects:
         Raises:
             KeyError: there is none.
         """
-        for row in self.rows:
-            if row.path == path:
-                return row
-        raise KeyError(path)
+        return {row.path: row for row in reversed(self.rows)}[path]
 
     def to_json(self) -> str:
         """As JSON: an object with the attributes."""
@@ -142,18 +146,13 @@ def point_of(channel: Channel) -> str | None:
     return channel.name.removesuffix(f"_{_AXES[channel.component]}")
 
 
-def axes_of(run: Run) -> set[int]:
-    """The axes along which a run records points."""
-    recorded = (run.channels[name] for name in run.observations)
-    return {c.component for c in recorded if c.component is not None and point_of(c) is not None}
-
-
 def distinct_axes(runs: Sequence[Run]) -> list[Axes]:
     """The ways that differ in what these runs record; none where they record fewer than two axes.
 
     The first is the identity.
     """
-    recorded = sorted(set().union(*(axes_of(run) for run in runs)))
+    channels = [run.channels[name] for run in runs for name in run.observations]
+    recorded = sorted({c.component for c in channels if c.component is not None and point_of(c)})
     if len(recorded) < 2:
         return []
     ways = {tuple(way[axis] for axis in recorded): way for way in reversed(all_axes())}
@@ -172,36 +171,27 @@ def seen_as(
     way: Axes, run: Run, predicted: Mapping[str, np.ndarray], channels: Sequence[str]
 ) -> np.ndarray:
     """Predictions of channels if a recording has other axes, shape (sample, channel)."""
-    columns = []
-    for name in channels:
-        channel = run.channels[name]
-        point = point_of(channel)
-        if point is None or channel.component is None:
-            columns.append(predicted[name])
-            continue
-        other, sign = way[channel.component]
-        columns.append(sign * predicted[f"{point}_{_AXES[other]}"])
-    return np.stack(columns, axis=-1)
+    sources = [_source(way, run.channels[name]) or (name, 1) for name in channels]
+    return np.stack([sign * predicted[name] for name, sign in sources], axis=-1)
+
+
+def _source(way: Axes, channel: Channel) -> tuple[str, int] | None:
+    """The coordinate of the model that a recorded one is, and its sign; None for no position."""
+    point = point_of(channel)
+    if point is None or channel.component is None:
+        return None
+    other, sign = way[channel.component]
+    return f"{point}_{_AXES[other]}", sign
 
 
 def turned_back(run: Run, way: Axes) -> Run:
-    """The run as it would be with the axes of the model.
-
-    Arguments:
-        run: with recorded points.
-        way: how its axes are those of the model.
-    """
+    """The run as it would be with the axes of the model."""
     values, channels = dict(run.values), dict(run.channels)
     moved: dict[str, tuple[np.ndarray, Channel]] = {}
     for name in run.observations:
-        channel = run.channels[name]
-        point = point_of(channel)
-        if point is None or channel.component is None:
-            continue
-        other, sign = way[channel.component]
-        new = f"{point}_{_AXES[other]}"
-        moved[new] = sign * values.pop(name), Channel.named(new, channel.unit)
-        del channels[name]
+        if (source := _source(way, run.channels[name])) is not None:
+            new, sign = source
+            moved[new] = sign * values.pop(name), Channel.named(new, channels.pop(name).unit)
     observed = (
         None
         if run.observed is None
@@ -285,7 +275,11 @@ def parameter_rows(rest: Projected, asked: Inquiry) -> list[Suspect]:
         for path, several in members.items()
         if len(several) > 1 or candidates[several[0]].path == path
     }
-    rows = [_not_testable(one, note) for one, note in zip(candidates, notes, strict=True) if note]
+    rows = [
+        _untestable(one.path, one.kind, note, one.unit, one.value)
+        for one, note in zip(candidates, notes, strict=True)
+        if note
+    ]
     for path, indices in members.items():
         among = [candidates[index] for index in indices]
         found = score(
@@ -308,10 +302,9 @@ def parameter_rows(rest: Projected, asked: Inquiry) -> list[Suspect]:
 def _row(path: str, among: Sequence[Candidate], found: Score, others: tuple[str, ...]) -> Suspect:
     value = [one.value for one in among]
     estimate = [one.value + float(step) for one, step in zip(among, found.step, strict=True)]
-    error = [float(number) for number in found.error]
-    group = len(among) > 1
-    note = ""
-    if not group and (value[0] <= among[0].lower or value[0] >= among[0].upper):
+    error = found.error.tolist()
+    group, note = len(among) > 1, ""
+    if not group and not among[0].lower < value[0] < among[0].upper:
         note = "held at its bound: tested towards the inside"
         if found.drop == 0:
             note += ", and the data lead outwards"
@@ -345,21 +338,17 @@ def _why_not(rest: Projected, index: int, one: Candidate) -> str:
     return ""
 
 
-def _not_testable(one: Candidate, note: str) -> Suspect:
-    return Suspect(
-        one.path, one.kind, one.unit, one.value, None, None, None, 1, None, False, (), note
-    )
-
-
-def impossible_row(path: str, reason: str) -> Suspect:
-    return Suspect(path, "parameter", "", None, None, None, None, 1, None, False, (), reason)
+def _untestable(
+    path: str, kind: SuspectKind, note: str, unit: str = "", value: float | None = None
+) -> Suspect:
+    return Suspect(path, kind, unit, value, None, None, None, 1, None, False, (), note)
 
 
 def switch_row(rest: Projected, index: int, name: str) -> Suspect:
     norm, left = float(rest.norms[index]), float(rest.perpendicular[index])
     if norm < 1 or left < max(1.0, IMITATED * norm):
         note = "what was fitted imitates it" if norm >= 1 else "it changes no prediction"
-        return Suspect(name, "switch", "", 0.0, None, None, None, 1, None, False, (), note)
+        return _untestable(name, "switch", note, value=0.0)
     found = score(rest, [index], [0.0], [1.0])
     return Suspect(
         path=name,
@@ -396,13 +385,9 @@ def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str
     samples of each channel), corrected for the number of tests by Holm's method.
 
     Arguments:
-        result: of `giajax.fit` or `giajax.load_result`.
-        runs: the runs that were fitted, in their order.
+        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
         each: paths of arrays, such as `encoder.offset`, whose elements are tested one by one and
             together; by default all of them change in proportion.
-
-    Returns:
-        The tests, the most promising first.
 
     Raises:
         InputError: other runs than those of the result, a path in `each` that is no array, or a
@@ -435,7 +420,7 @@ def tested(
     """The tests from the responses where a fit ended."""
     weights = robust_weights(result, runs, at)
     weighing = Weighing.of(at, white_noise(result, runs, at), weights)
-    switches = _switches(result, asked, runs, at)
+    switches = _switches(result, asked, runs)
     of_fit = Coordinates.of(result)
     tables = weighing.tables(at, runs, of_fit, list(switches.values()))
     rest = projected(tables, of_fit.known)
@@ -446,7 +431,7 @@ def tested(
     rows += [switch_row(rest, first + i, name) for i, name in enumerate(switches)]
     axes, ways = axes_row(result, runs, at, weighing, cells, rest)
     rows += axes
-    rows += [impossible_row(path, reason) for path, reason in asked.impossible.items()]
+    rows += [_untestable(path, "parameter", why) for path, why in asked.impossible.items()]
     rows, number = _corrected(rows, further=max(ways - 1, 0))
     # What a column of random numbers takes from residuals of this size, on the scale of BIC.
     price = np.log(rest.values) * max(1.0, chi_square / rest.values)
@@ -466,46 +451,37 @@ def tested(
 
 
 def _switches(
-    result: FitResult, asked: Inquiry, runs: Sequence[Run], at: Sequence[Response]
+    result: FitResult, asked: Inquiry, runs: Sequence[Run]
 ) -> dict[str, list[np.ndarray]]:
     """By the name of each choice of the model: how it changes the predictions of each run."""
-    paths = [direction.path for direction in asked.free]
+    free = {direction.path for direction in asked.free}
     changes: dict[str, list[np.ndarray]] = {}
     base: list[Response] | None = None
+
+    def predicted(model: AbstractModel, variant: str | None = None) -> list[Response]:
+        # With the steps of the integrator that the columns have.
+        paths = [one.direction.path for one in asked.candidates]
+        stepped = capabilities.for_derivatives(model, paths)
+        return responses_of(result, runs, stepped, variant=variant)
+
     for name, variant in capabilities.variants(result.model).items():
-        if not set(paths) <= set(declared(variant)):
-            continue
-        if base is None:
-            base = responses_of(result, runs, _stepped(result.model, asked))
-        try:
-            other = responses_of(result, runs, _stepped(variant, asked), variant=name)
-        except InputError:  # It cannot be evaluated with these values.
-            continue
-        changes[name] = [a.predicted - b.predicted for a, b in zip(other, base, strict=True)]
+        if free <= set(declared(variant)):
+            base = base or predicted(result.model)
+            # One may be none that can be evaluated with these values.
+            with contextlib.suppress(InputError):
+                pairs = zip(predicted(variant, name), base, strict=True)
+                changes[name] = [other.predicted - one.predicted for other, one in pairs]
     return changes
-
-
-def _stepped(model: AbstractModel, asked: Inquiry) -> AbstractModel:
-    """With the steps of the integrator that the columns have."""
-    return capabilities.for_derivatives(model, [one.direction.path for one in asked.candidates])
 
 
 def _corrected(rows: Sequence[Suspect], further: int) -> tuple[list[Suspect], int]:
     """Rows with p-values corrected by Holm's method, and the number of tests.
 
-    Arguments:
-        rows: with p-values of single tests.
-        further: tests of which only the best has a row.
+    There were `further` ones, of which only the best has a row.
     """
-    order = sorted(
-        (index for index, row in enumerate(rows) if row.p_value is not None),
-        key=lambda index: rows[index].p_value or 0.0,
-    )
-    number = len(order) + further
-    corrected = list(rows)
-    highest = 0.0
-    for rank, index in enumerate(order):
-        raw = rows[index].p_value or 0.0
-        highest = max(highest, min(1.0, raw * (number - rank)))
+    single = {index: row.p_value for index, row in enumerate(rows) if row.p_value is not None}
+    number, corrected, highest = len(single) + further, list(rows), 0.0
+    for rank, index in enumerate(sorted(single, key=lambda index: single[index])):
+        highest = max(highest, min(1.0, single[index] * (number - rank)))
         corrected[index] = dataclasses.replace(rows[index], p_value=highest)
     return corrected, number

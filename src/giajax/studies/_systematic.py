@@ -21,7 +21,7 @@ from ..noise import ChannelNoise, whitened
 from ..recordings import Channel, Run
 from ..runtime.text import InputError
 from ..schema.parameters import elements, get, switched_on
-from ._candidates import Candidate, Inquiry, inquiry
+from ._candidates import Inquiry, inquiry
 from ._score import Coordinates, responses_of
 from ._suspects import suspects
 
@@ -49,27 +49,12 @@ def check_uncertainty(
 ) -> None:
     """Refuse uncertainties that `systematic_errors` would refuse, before anything is fitted.
 
-    Arguments:
-        model: to be fitted.
-        free: paths of the parameters to fit.
-        uncertainty: standard deviations of held numbers, SI, by path.
-        ties: expressions by the paths of what follows from them.
-
     Raises:
         InputError: an unknown path, one that is fitted or tied, or an uncertainty that is not
             positive.
     """
     if uncertainty:
         stated_doubts(free, inquiry(model, free, ties=ties), uncertainty)
-
-
-def is_doubtful(one: Candidate, known: set[str]) -> bool:
-    return one.value != 0 and one.direction.path not in known
-
-
-def one_percent(one: Candidate) -> Doubt:
-    size = FRACTION * abs(one.value)
-    return Doubt(one.path, one.unit, one.value, size, False, one.direction)
 
 
 def stated_doubts(
@@ -149,8 +134,7 @@ def systematic_errors(
     fit used.
 
     Arguments:
-        result: of `giajax.fit` or `giajax.load_result`.
-        runs: the runs that were fitted, in their order.
+        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
         uncertainty: standard deviations of held numbers, SI, by path; by default those that the
             fit was given. One number for a whole array moves its elements together; those of a
             vector, such as the wind, are independent, and so are `links.mass[0]`,
@@ -170,13 +154,17 @@ def systematic_errors(
     asked = inquiry(result.model, list(result.free), ties=result.config.get("ties"))
     stated = stated_doubts(list(result.free), asked, uncertainty)
     known = {doubt.path.partition("[")[0] for doubt in stated}
-    doubts = [*stated, *(one_percent(one) for one in asked.candidates if is_doubtful(one, known))]
+    others = [
+        Doubt(one.path, one.unit, one.value, FRACTION * abs(one.value), False, one.direction)
+        for one in asked.candidates
+        if one.value != 0 and one.direction.path not in known
+    ]
+    doubts = [*stated, *others]
     # Beside the columns of all candidates, so that the program is the one that tests them.
     directions = [*asked.free, *(one.direction for one in asked.candidates)]
     places = {id(direction): place for place, direction in enumerate(directions)}
     for doubt in doubts:
-        if id(doubt.direction) not in places:
-            places[id(doubt.direction)] = len(directions)
+        if places.setdefault(id(doubt.direction), len(directions)) == len(directions):
             directions.append(doubt.direction)
     at = responses_of(result, several, asked.model, directions)
     columns = [places[id(doubt.direction)] for doubt in doubts]
@@ -213,12 +201,10 @@ def together(errors: Sequence[SystematicError]) -> dict[str, float]:
 
 
 def _error(result: FitResult, doubt: Doubt, slopes: np.ndarray) -> SystematicError:
+    free = result.free
     shifts = {
-        path: float(slope) * doubt.uncertainty
-        for path, slope in zip(result.free, slopes, strict=True)
+        path: float(slope) * doubt.uncertainty for path, slope in zip(free, slopes, strict=True)
     }
-    errors = {path: estimate.standard_error for path, estimate in result.free.items()}
-    decides = tuple(path for path, shift in shifts.items() if abs(shift) > (errors[path] or np.inf))
     return SystematicError(
         path=doubt.path,
         unit=doubt.unit,
@@ -226,17 +212,21 @@ def _error(result: FitResult, doubt: Doubt, slopes: np.ndarray) -> SystematicErr
         uncertainty=doubt.uncertainty,
         stated=doubt.stated,
         shifts=shifts,
-        decides=decides,
+        decides=tuple(
+            path for path in free if abs(shifts[path]) > (free[path].standard_error or np.inf)
+        ),
     )
 
 
 def _weight(result: FitResult, error: SystematicError) -> float:
     """The largest shift, in standard errors; of a parameter without one, relative to it."""
-    sizes = {
-        path: estimate.standard_error or abs(float(estimate.value)) or 1.0
-        for path, estimate in result.free.items()
-    }
-    return max((abs(shift) / sizes[path] for path, shift in error.shifts.items()), default=0.0)
+    return max(
+        (
+            abs(error.shifts[path]) / (one.standard_error or abs(float(one.value)) or 1.0)
+            for path, one in result.free.items()
+        ),
+        default=0.0,
+    )
 
 
 def _slopes(
@@ -307,37 +297,17 @@ def _noise_of(channel: Channel, known: ChannelFit) -> ChannelNoise:
 def with_suspects(
     result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str] = ()
 ) -> FitResult:
-    """The result with its suspects (`giajax.suspects`) and its systematic errors.
-
-    Arguments:
-        result, runs, each: as of `giajax.suspects`.
-
-    Returns:
-        The same result with `suspects`, `systematic` and further `conditions`.
-
-    Raises:
-        InputError: as `giajax.suspects`.
-    """
+    """The result with its suspects, as of `giajax.suspects`, and its systematic errors."""
     asked = dataclasses.replace(result, suspects=suspects(result, runs, each=each).rows)
     return with_systematic_errors(asked, runs)
 
 
 def with_systematic_errors(
-    result: FitResult,
-    runs: Run | Sequence[Run],
-    uncertainty: Mapping[str, Any] | None = None,
+    result: FitResult, runs: Run | Sequence[Run], uncertainty: Mapping[str, Any] | None = None
 ) -> FitResult:
     """The result with its systematic errors, and a condition for each held number that decides.
 
-    Arguments:
-        result, runs, uncertainty: as of `giajax.systematic_errors`; what is stated here is kept
-            in `result.config`.
-
-    Returns:
-        The same result with `systematic` and further `conditions`.
-
-    Raises:
-        InputError: as `giajax.systematic_errors`.
+    As of `giajax.systematic_errors`; an uncertainty that is stated here is kept in `config`.
     """
     errors = systematic_errors(result, runs, uncertainty)
     before = deciding_conditions(result.systematic)

@@ -28,13 +28,7 @@ def paths_of(files: Paths) -> tuple[Path, ...]:
 def merged(below: FitSettings, above: FitSettings, origin: str) -> FitSettings:
     """Settings put on top of others: what is said of parameters path by path.
 
-    Arguments:
-        below: what was said before.
-        above: what is said now; the last word on a parameter counts.
-        origin: what an error calls them.
-
-    Raises:
-        InputError: the two together contradict themselves.
+    An InputError where the two together contradict themselves.
     """
     said = above.model_fields_set
     held, following = set(above.fix), set(above.ties)
@@ -74,19 +68,6 @@ def merged(below: FitSettings, above: FitSettings, origin: str) -> FitSettings:
     return Definition.parse({"fit": together}, origin).fit
 
 
-# A task as plain data.
-
-
-def record_of(task: "FitTask") -> dict[str, Any]:
-    """A task as plain data, with the checksums of its files.
-
-    Raises:
-        InputError: a file cannot be read.
-    """
-    inputs = checksums_of((*task.data, *task.validation), task.source)
-    return {**plain_of(task), "inputs": inputs}
-
-
 def plain_of(task: "FitTask") -> dict[str, Any]:
     """A task as plain data; nothing is read."""
     return {
@@ -123,15 +104,15 @@ def with_warm_start(
     """The task with the start that `windows_first_s` of its `[fit]` asks for.
 
     Parameters begin where the fit of the windows ends, and states of runs with those of their
-    first windows. What is held out of the runs is held out of the windows, too.
+    first windows. What is held out of the runs is held out of the windows, too. A task that asks
+    for nothing, or begins somewhere, is returned.
 
     Arguments:
-        task: what to fit to what. One that asks for nothing, or begins somewhere, is returned.
+        task: what to fit to what.
         watch: from the fit in windows to what is called after each of its steps.
         told: called with its result.
 
     Raises:
-        InputError: as `FitTask.run`.
         KeyboardInterrupt: also where the fit in windows has something to show for itself.
     """
     settings = task.definition.fit
@@ -147,17 +128,14 @@ def with_warm_start(
         raise KeyboardInterrupt
     if told is not None:
         told(result)
-    return dataclasses.replace(task, begin=_of_whole_runs(reached_by(result)))
-
-
-def _of_whole_runs(reached: dict[str, Any]) -> dict[str, Any]:
-    """Where a fit of windows ended, by the names of the runs that they were cut of."""
+    reached = reached_by(result)
+    # By the names of the runs that the windows were cut of.
     own = {
         name.removesuffix(_FIRST): values
         for name, values in reached["own"].items()
         if name.endswith(_FIRST)
     }
-    return {**reached, "own": own}
+    return dataclasses.replace(task, begin={**reached, "own": own})
 
 
 # Where results go by default.
@@ -197,10 +175,7 @@ class FitTask:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """The task of a fit definition.
-
-        Arguments:
-            path: a TOML file; the files that it names are relative to it.
+        """The task of a fit definition in TOML; the files that it names are relative to it.
 
         Raises:
             InputError: the file is missing, is no TOML, or has a key or a value that it may not.
@@ -216,11 +191,7 @@ class FitTask:
 
     @classmethod
     def of(cls, data: Paths) -> Self:
-        """The task of some runs, with every setting at its default; `on_top` changes settings.
-
-        Arguments:
-            data: file or files of the runs to fit.
-        """
+        """The task of a run or several, with every setting at its default."""
         return cls(Definition(), data=paths_of(data))
 
     @classmethod
@@ -228,32 +199,27 @@ class FitTask:
         """The task of a result: the same data, settings and starts, and so the same numbers.
 
         On the same machine and with the same versions they are the same bit for bit. It goes
-        beside the other one, into NAME-again. With more `starts` on top only those are fitted.
+        beside the other one, into NAME-again. With more `starts` on top only those are fitted. As
+        long as no setting is changed, `prepare` refuses what has become of them in another version
+        of giajax.
 
         Arguments:
             path: a `result.json`, or its folder.
-
-        Returns:
-            The task. As long as no setting is changed, `prepare` refuses what has become of them
-            in another version of giajax.
 
         Raises:
             InputError: no such result, one that was stopped when its time was up, or a file that
                 it was fitted to has changed.
         """
         folder, stored = repeatable(path)
-        fields = {**unchanged(stored["task"], folder), "resolved": stored["config"]}
-        task = cls(**fields, earlier=folder)
+        config, fields = stored["config"], unchanged(stored["task"], folder)
         out = folder.with_name(f"{folder.resolve().name}-again")
-        most = stored["config"].get("max_iterations")
-        return task.on_top(max_iterations=most, budget="", out=out)
+        return cls(**fields, resolved=config, earlier=folder).on_top(
+            max_iterations=config.get("max_iterations"), budget="", out=out
+        )
 
     @classmethod
     def resumed(cls, folder: str | Path) -> Self:
         """The task of a fit that was stopped or cut off; `run(journal=folder)` of it goes on.
-
-        Arguments:
-            folder: that has the journal.
 
         Raises:
             InputError: no journal there, one that cannot be read, or a file that was fitted to
@@ -306,8 +272,8 @@ class FitTask:
             rename: the files' column name -> the name it has in the column table.
             origin: what an error calls the origin of these settings.
 
-        Returns:
-            A new task; a value that its key may not have is an InputError.
+        Raises:
+            InputError: a value that its key may not have.
         """
         below = self.definition.fit
         if keywords.get("budget") == "":
@@ -342,8 +308,7 @@ class FitTask:
     def prepare(self) -> "Preparation":
         """Read the runs and resolve settings; nothing but windows (`windows_first_s`) is evaluated.
 
-        Returns:
-            What `run` fits; its `setup` has the model and the free parameters.
+        The `setup` of what it returns has the model and the free parameters.
 
         Raises:
             InputError: no data, files that are no runs, or as `giajax.fit`.
@@ -354,10 +319,11 @@ class FitTask:
             return task.prepare()
         runs = read_runs(self.data, self.definition, rename=self.rename)
         validation = read_runs(self.validation, self.definition, rename=self.rename, beside=runs)
-        record = record_of(self)
+        inputs = checksums_of((*self.data, *self.validation), self.source)
         from ._preparation import prepare
 
         more = self.earlier if self.resolved is None else None
+        record = {**plain_of(self), "inputs": inputs}
         ready = prepare(self.definition, runs, validation, record, more)
         if self.resolved is not None:
             check_config(self.resolved, ready.setup.config, Path("the result"))
@@ -385,7 +351,7 @@ class FitTask:
                 its result again.
 
         Returns:
-            The result; `giajax.write_result` writes it. Ctrl-C returns the best so far.
+            The result, the best so far after Ctrl-C; `giajax.write_result` writes it.
 
         Raises:
             InputError: as `prepare`, a start from which the model cannot be evaluated, or a

@@ -43,12 +43,7 @@ _ASIDE = ("out", "budget", "max_iterations")
 def checksums_of(files: Sequence[Path], source: Path | None = None) -> dict[str, str | None]:
     """SHA-256 of the files that a fit reads, by path; None for a sidecar that is not there.
 
-    Arguments:
-        files: runs; the sidecar of each comes after it.
-        source: the fit definition, if it is to be read.
-
-    Raises:
-        InputError: one cannot be read.
+    The fit definition comes first, if it is to be read, and the sidecar of each run after it.
     """
     paths: dict[Path, bool] = {} if source is None else {source: True}
     for path in files:
@@ -70,12 +65,7 @@ def _checksum(path: Path, needed: bool) -> str | None:
 def _base_of(record: Mapping[str, Any], folder: Path) -> Path:
     """Where the relative paths of a record begin: here, or as they lie beside the result.
 
-    Arguments:
-        record: of a task, whose files are named as they were when it ran.
-        folder: that has its result or its journal now.
-
-    Raises:
-        InputError: naming the first file that is missing or has changed.
+    An InputError names the first file that is missing or has changed.
     """
     out = Path(record["out"])
     bases = [Path()]
@@ -121,17 +111,8 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
 
 
 def unchanged(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The fields of the task that a record describes, whose files are as they were.
-
-    Arguments:
-        record: plain data.
-        folder: that has its result or its journal.
-
-    Raises:
-        InputError: a file is missing or has changed.
-    """
-    base = _base_of(record, folder)
-    source = record["source"]
+    """The fields of the task that a record in a folder describes, whose files are as they were."""
+    base, source = _base_of(record, folder), record["source"]
     return {
         "definition": Definition.parse(record["definition"], "the stored task"),
         "data": tuple(base / name for name in record["data"]),
@@ -143,23 +124,14 @@ def unchanged(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def check_again(now: Mapping[str, Any], before: Mapping[str, Any], folder: Path) -> None:
-    """Refuse to go on with a fit by other settings, or on other files.
+    """Refuse to go on with the fit of a journal by other settings, or on other files.
 
-    Arguments:
-        now: record of the task to go on with.
-        before: that of the journal.
-        folder: of the journal.
-
-    Raises:
-        InputError: naming the first file, or all settings, that differ.
+    An InputError names the first file, or all settings, that differ.
     """
-    unchanged(before, folder)
-    checksums_now = list(now["inputs"].values())
-    names = differences(now, before)
-    if checksums_now == list(before["inputs"].values()):
-        # The same files by other names.
-        names = [name for name in names if name not in ("data", "validation")]
-    if names:
+    _base_of(before, folder)
+    same_files = list(now["inputs"].values()) == list(before["inputs"].values())
+    by_other_names = ("data", "validation") if same_files else ()
+    if names := [name for name in differences(now, before) if name not in by_other_names]:
         raise InputError(
             f"the fit in {folder} has other settings (it differs in {', '.join(names)}): leave "
             "them out to go on with it, or fit anew into another folder"
@@ -167,11 +139,7 @@ def check_again(now: Mapping[str, Any], before: Mapping[str, Any], folder: Path)
 
 
 def version_note(versions: Mapping[str, str]) -> str:
-    """A sentence where another Python or library computes here; else empty.
-
-    Arguments:
-        versions: by name, of what computed before.
-    """
+    """A sentence where another Python or library computes here than before; else empty."""
     import platform
     from importlib.metadata import PackageNotFoundError, version
 
@@ -183,9 +151,8 @@ def version_note(versions: Mapping[str, str]) -> str:
             now = "none"
         if now != before:
             changed.append(f"{name} {before} then, {now} now")
-    if not changed:
-        return ""
-    return f"other versions compute here ({'; '.join(changed)}): the last digits may differ"
+    shown = f"other versions compute here ({'; '.join(changed)}): the last digits may differ"
+    return shown if changed else ""
 
 
 # One fit at a time in a folder: a lock that ends with the process that has it.
@@ -254,8 +221,9 @@ def _taken(path: Path) -> int:
             if error.errno not in _NO_LOCKS:
                 os.close(descriptor)
                 raise
-        if _is_there(path, descriptor):
-            break
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.stat(path, follow_symlinks=False), os.fstat(descriptor)):
+                break
         os.close(descriptor)  # of a fit that has just ended, and removed it
     with contextlib.suppress(OSError):  # the words are for people; the lock holds without them
         os.ftruncate(descriptor, 0)
@@ -263,18 +231,10 @@ def _taken(path: Path) -> int:
     return descriptor
 
 
-def _is_there(path: Path, descriptor: int) -> bool:
-    try:
-        return os.path.samestat(os.stat(path, follow_symlinks=False), os.fstat(descriptor))
-    except FileNotFoundError:
-        return False
-
-
 def _holder(descriptor: int) -> str:
-    try:
+    words = ""
+    with contextlib.suppress(OSError):
         words = os.read(descriptor, 200).decode(errors="replace").strip()
-    except OSError:
-        words = ""
     return words or "its process is not known"
 
 
@@ -333,11 +293,7 @@ class Journal:
 
     def of(self, number: int) -> "Part":
         """The journal of one fit, by its number from 1."""
-        return Part(self, number)
-
-    def lines_of(self, number: int) -> list[Line]:
-        """The states of one fit, oldest first."""
-        return [line for line in self._lines if line.get("fit") == number]
+        return Part(self, number, [line for line in self._lines if line.get("fit") == number])
 
     def append(self, line: Line) -> None:
         """Write a line, and have it on the disk before this returns."""
@@ -403,9 +359,8 @@ class Journal:
 class Part:
     """The journal of one fit; what `giajax.fitting.FitJournal` describes."""
 
-    def __init__(self, journal: Journal, number: int) -> None:
-        self.journal, self.number = journal, number
-        self.lines: Sequence[Line] = journal.lines_of(number)
+    def __init__(self, journal: Journal, number: int, lines: Sequence[Line]) -> None:
+        self.journal, self.number, self.lines = journal, number, lines
 
     def append(self, line: Line) -> None:
         """Keep one more line."""
@@ -449,9 +404,12 @@ def read_journal(folder: Path, complain: Callable[[str], None] = lambda _: None)
     return journal if journal.is_begun else None
 
 
+_OTHERS = ConfigDict(extra="ignore")
+
+
 @dataclasses.dataclass(frozen=True)
 class _Head:
-    __pydantic_config__ = ConfigDict(extra="ignore")
+    __pydantic_config__ = _OTHERS
     giajax_journal: int
     versions: dict[str, str]
     task: StoredTask

@@ -19,8 +19,6 @@ from ..schema import flat
 from ._fit_task import FitTask
 from ._journal import checksums_of
 
-# The columns of a plan: keys of `[fit]`, those of its tables by their paths. Imports no JAX.
-
 TABLES = ("start", "fix", "priors", "bounds", "ties", "groups")
 """Keys of `[fit]` that hold a value for each of some paths."""
 
@@ -48,14 +46,9 @@ MOST = 100_000
 
 
 def columns_of(section: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Values by column: the keys of `[fit]`, those of its tables with their paths.
+    """Values by column of a section, which errors call `where`.
 
-    Arguments:
-        section: of a plan.
-        where: what errors call it.
-
-    Raises:
-        InputError: a key that `[fit]` does not have, or that does nothing here.
+    Columns are the keys of `[fit]`, those of its tables with their paths.
     """
     known = [name for name in FitSettings.model_fields if name not in _NOT_HERE]
     columns = {}
@@ -85,8 +78,6 @@ def check_count(count: int, where: str) -> None:
     if count > MOST:
         raise InputError(f"{where} has {count:,} fits, but may have {MOST:,} at most: plan fewer")
 
-
-# The values of a plan: lists and ranges of a grid, and draws of a sample. Imports no JAX.
 
 _METHODS = ("sobol", "random")
 
@@ -148,22 +139,19 @@ def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
     columns = columns_of(rest, where)
     if not columns:
         raise InputError(f"{where} draws nothing: add fix or start with a distribution")
-    points = _points(method, len(columns), count, seed)
+    # In the unit cube, shape (count, column), none of them on its faces.
+    if method == "sobol":
+        from ..runtime.arrays import sobol_points
+
+        points = sobol_points(count, len(columns), seed)
+    else:
+        points = np.random.default_rng(seed).random((count, len(columns)))
+        points = np.maximum(points, np.finfo(float).eps)
     drawn = [
         _drawn(value, points[:, at], f"{where}: {name}")
         for at, (name, value) in enumerate(columns.items())
     ]
     return [dict(zip(columns, row, strict=True)) for row in zip(*drawn, strict=True)]
-
-
-def _points(method: str, dimensions: int, count: int, seed: int) -> np.ndarray:
-    """Points of the unit cube, shape (count, dimensions), none of them on its faces."""
-    if method == "sobol":
-        from ..runtime.arrays import sobol_points
-
-        return sobol_points(count, dimensions, seed)
-    points = np.random.default_rng(seed).random((count, dimensions))
-    return np.maximum(points, np.finfo(float).eps)
 
 
 def _drawn(value: Any, points: np.ndarray, where: str) -> Iterator[float]:
@@ -191,29 +179,16 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-# The cases of a plan: what differs between its fits. Imports no JAX.
-
-
 def cases_of(data: Mapping[str, Any], source: str) -> list[Case]:
-    """Every combination of what list, sample and grid say.
-
-    Arguments:
-        data: of a plan, as plain data.
-        source: what errors call it.
-
-    Raises:
-        InputError: what they may not say, or too many fits.
-    """
+    """Every combination of what list, sample and grid of a plan say."""
     for name, kind in (("grid", dict), ("sample", dict), ("list", list)):
         if not isinstance(data.get(name, kind()), kind):
             what = "a list of tables, [[list]]" if kind is list else f"a table, [{name}]"
             raise InputError(f"{source}: {name} must be {what}: correct it")
-    listed: list[Case] = [{}]
-    if "list" in data:
-        rows = data["list"]
-        if not rows or not all(isinstance(row, Mapping) for row in rows):
-            raise InputError(f"{source}: list must be a list of tables, [[list]]: correct it")
-        listed = [_row(row, f"{source}, [[list]]") for row in rows]
+    rows = data.get("list", [{}])
+    if not rows or not all(isinstance(row, Mapping) for row in rows):
+        raise InputError(f"{source}: list must be a list of tables, [[list]]: correct it")
+    listed = [_row(row, f"{source}, [[list]]") for row in rows]
     drawn: list[Case] = [{}]
     if "sample" in data:
         drawn = sample_cases(data["sample"], f"{source}, [sample]")
@@ -241,6 +216,7 @@ def _row(section: Mapping[str, Any], where: str) -> Case:
 
 
 _KEYS = ("schema_version", "fit", "data", "out", "grid", "list", "sample")
+_FILES = {"data", "validation"}
 _OUT = Path("giajax-out")
 
 
@@ -268,11 +244,7 @@ class Plan:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """The plan of a TOML file; the files that it names are relative to it.
-
-        Raises:
-            InputError: the file is missing, is no TOML, or as `parse`.
-        """
+        """The plan of a TOML file; the files that it names are relative to it."""
         path = Path(path)
         text = read_text(path, TEXT_BYTES, "TOML", "the path of a plan")
         plan = cls.parse(parse_toml(text, path), path.parent, str(path))
@@ -323,7 +295,15 @@ class Plan:
         # path, by each fit.
         for number, case in enumerate(cases, 1):
             plan.fit(case, f"{source}, fit {number}", folder)
-        return dataclasses.replace(plan, cases=tuple(_placed(case, folder) for case in cases))
+        # Files are found from here.
+        placed = [
+            {
+                name: [str(folder / file) for file in value] if name in _FILES else value
+                for name, value in case.items()
+            }
+            for case in cases
+        ]
+        return dataclasses.replace(plan, cases=tuple(placed))
 
     @property
     def folder(self) -> Path:
@@ -339,16 +319,7 @@ class Plan:
         return list(dict.fromkeys(name for case in self.cases for name in case))
 
     def fit(self, case: Case, origin: str = "the plan", folder: Path = Path()) -> FitTask:
-        """The fit of a case.
-
-        Arguments:
-            case: one of `cases`.
-            origin: what an error calls it.
-            folder: where the files of `data` and `validation` in it begin.
-
-        Raises:
-            InputError: a value that its key may not have.
-        """
+        """The fit of one of `cases`, which an error calls `origin`, with files from a folder."""
         settings: dict[str, Any] = {}
         for name, value in case.items():
             table, _, path = name.partition(".")
@@ -357,29 +328,15 @@ class Plan:
             else:
                 settings[name] = value
         files: dict[str, Any] = {}
-        for name in {"data", "validation"} & set(settings):
+        for name in _FILES & settings.keys():
             said = fit_settings({name: settings.pop(name)}, origin)
             files[name] = [folder / file for file in getattr(said, name)]
         return self.base.on_top(fit_settings(settings, origin), **files, origin=origin)
 
     def tasks(self) -> list[Task]:
-        """The fits as tasks, one for each case: two with the same key are the same fit.
-
-        Raises:
-            InputError: a file cannot be read.
-        """
+        """The fits as tasks, one for each case: two with the same key are the same fit."""
         checksums = functools.cache(lambda path: tuple(checksums_of([path]).values()))
         return [_task(self.fit(case), checksums) for case in self.cases]
-
-
-def _placed(case: Case, folder: Path) -> Case:
-    """A case whose files are found from here."""
-    files = {
-        name: [str(folder / file) for file in case[name]]
-        for name in ("data", "validation")
-        if name in case
-    }
-    return {**case, **files}
 
 
 def _task(fit: FitTask, checksums: Any) -> Task:
@@ -388,7 +345,7 @@ def _task(fit: FitTask, checksums: Any) -> Task:
         raise InputError("the plan has no data: give runs in it, or in its fit definition")
     definition = fit.definition.contents()
     settings = definition.pop("fit", {})
-    for name in ("data", "validation", "out"):
+    for name in (*_FILES, "out"):
         settings.pop(name, None)
     for name in ("truth", "figures", "origin"):
         definition.pop(name, None)

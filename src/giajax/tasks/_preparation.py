@@ -27,6 +27,7 @@ from ..runtime.text import InputError
 from ..studies import (
     check_uncertainty,
     has_earlier_starts,
+    interrupted,
     solve_from_starts,
     with_suspects,
     with_systematic_errors,
@@ -34,30 +35,10 @@ from ..studies import (
 from ._journal import JOURNAL, Journal, check_again, locked, read_journal
 from ._stored import check_config
 
-# A fit with its journal: begun, or gone on with, in a folder of its own.
-
 
 def warn(sentence: str) -> None:
     """What becomes of complaints where nobody says otherwise: warnings of Python."""
     warnings.warn(sentence, stacklevel=2)
-
-
-def _check_none_is_lost(folder: Path) -> None:
-    before = read_journal(folder)
-    if before is not None and not before.is_written:
-        raise InputError(
-            f"{folder} holds the journal of a fit that was cut off: go on with giajax fit "
-            f"--resume {folder}, give another folder, or --force to begin anew"
-        )
-
-
-def _continued(record: Mapping[str, Any], config: Mapping[str, Any], folder: Path) -> Journal:
-    journal = read_journal(folder)
-    if journal is None:
-        raise InputError(f"{folder} has no journal of a fit: fit without resuming to begin one")
-    check_again(record, journal.head["task"], folder)
-    check_config(journal.head["config"], config, journal.path)
-    return journal
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,11 +94,20 @@ class Preparation:
                 fit, or (without `resume` and `force`) is that of a fit that was cut off.
         """
         with locked(folder):
+            journal = read_journal(folder) if resume or not force else None
             if resume:
-                journal = _continued(self.record, self.setup.config, folder)
+                if journal is None:
+                    raise InputError(
+                        f"{folder} has no journal of a fit: fit without resuming to begin one"
+                    )
+                check_again(self.record, journal.head["task"], folder)
+                check_config(journal.head["config"], self.setup.config, journal.path)
             else:
-                if not force:
-                    _check_none_is_lost(folder)
+                if journal is not None and not journal.is_written:
+                    raise InputError(
+                        f"{folder} holds the journal of a fit that was cut off: go on with giajax "
+                        f"fit --resume {folder}, give another folder, or --force to begin anew"
+                    )
                 head = {"task": dict(self.record), "config": dict(self.setup.config)}
                 journal = Journal(folder / JOURNAL, {"versions": versions(), **head})
             journal.complain = complain
@@ -136,17 +126,9 @@ class Preparation:
         executor: Executor | None = None,
         folder: Path | None = None,
     ) -> FitResult:
-        """Fit, and predict what was held out and the runs of the validation.
+        """Fit, and predict what was held out and the runs of the validation, as `FitTask.run`.
 
-        Arguments:
-            progress, announce, check: as of `FitTask.run`.
-            journal, executor, folder: as of `study.solve_from_starts`.
-
-        Returns:
-            As `FitTask.run`.
-
-        Raises:
-            InputError: the model cannot be evaluated at the start.
+        A journal, an executor and its folder are those of `studies.solve_from_starts`.
         """
         if self.setup.settings.starts == 1:
             first = None if journal is None else journal(1)
@@ -171,34 +153,24 @@ class Preparation:
             for run in self.validation:
                 errors.append(prediction_errors(result.model, run))
         except KeyboardInterrupt:  # The fit is done, and took longer.
-            message = f"{result.message}; interrupted before its validation was complete"
-            result = dataclasses.replace(
-                result, status="interrupted", message=message, reason="interrupted"
-            )
+            result = interrupted(result, "before its validation was complete")
             if self.held_out is not None and not result.held_out:
                 result = self.held_out.unjudged(result)
         return dataclasses.replace(result, validation=tuple(errors), task=dict(self.record))
 
     def diagnosed(self, result: FitResult, *, suspects: bool = True) -> FitResult:
-        """The result with what is asked of a fit once it has ended.
+        """The result of `run` with what is asked of a fit once it has ended.
 
-        Arguments:
-            result: of `run`.
-            suspects: where its model is inadequate, ask what the residuals ask for.
-
-        Returns:
-            With systematic errors, where uncertainties are stated, and with suspects. The same
-            result where nothing is asked, where Ctrl-C ends it, or where the model cannot be
-            evaluated with all of its parts on.
+        That is systematic errors, where uncertainties are stated, and suspects, where its model is
+        inadequate. The same result where nothing is asked, where Ctrl-C ends it, or where the model
+        cannot be evaluated with all of its parts on.
         """
         doubted = self.definition.fit.uncertainty
-        try:
+        with contextlib.suppress(KeyboardInterrupt, InputError):
             if result.status != "interrupted" and doubted:
                 result = with_systematic_errors(result, self.runs, doubted)
             if suspects and result.verdict.status == "inadequate":
                 result = with_suspects(result, self.runs)
-        except (KeyboardInterrupt, InputError):
-            return result
         return result
 
 
@@ -211,18 +183,8 @@ def prepare(
 ) -> Preparation:
     """Build the model of the runs and resolve the settings of the definition.
 
-    Arguments:
-        definition: all settings.
-        runs: what to fit to.
-        validation: runs that the result must predict.
-        record: the task as plain data; `begin` of it says where another fit ended.
-        earlier: the result to which starts are added.
-
-    Returns:
-        All that a fit needs.
-
-    Raises:
-        InputError: as `giajax.fit`, apart from a start that cannot be evaluated.
+    The record is the task as plain data; `begin` of it says where another fit ended. Starts are
+    added to those of the `earlier` result.
     """
     begin = None if record["begin"] is None else WarmStart(**record["begin"])
     setup, held_out = set_up_with_hold_out(definition.fit, runs, begin)

@@ -50,13 +50,7 @@ def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
 
 
 def check_config(before: Mapping[str, Any], now: Mapping[str, Any], where: Path) -> None:
-    """Refuse settings that are resolved differently here.
-
-    Arguments:
-        before: `config` of a result or a journal.
-        now: `Setup.config`.
-        where: the file that has the former, for an error.
-    """
+    """Refuse a `Setup.config` that is not that of the file of a result or a journal."""
     resolved = plain_data(now).items()
     differing = [_WORDS.get(key, key) for key, value in resolved if before.get(key) != value]
     if differing:
@@ -67,12 +61,7 @@ def check_config(before: Mapping[str, Any], now: Mapping[str, Any], where: Path)
 
 
 def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
-    """A sentence on whether a fit that was done again gave the same numbers.
-
-    Arguments:
-        result: of now.
-        before: the stored one, as plain data.
-    """
+    """A sentence on whether a fit that was done again gave the numbers of the stored one."""
     keys = ("parameters", "correlation", "cost", "reduced_chi_square", "history")
     now = _plain(result, *keys, "runs", "held_out")
     if not any("sources" in estimate for estimate in before["parameters"].values()):
@@ -90,39 +79,23 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
             same = same and one.get("parameters", {}) == other.get("parameters", {})
     if same:
         return "the numbers are the same, bit for bit"
-    moved = {}
+    moved = []
     for path, estimate in now["parameters"].items():
         value, other = estimate["value"], before["parameters"].get(path, {}).get("value")
         if estimate["free"] and value != other and other:
-            moved[path] = abs(value / other - 1)
+            moved.append((abs(value / other - 1), path))
     if not moved:
         return "the estimates are the same bit for bit, and what follows from them is not"
-    path = max(moved, key=lambda path: moved[path])
-    return f"the numbers are not the same: {path} differs by {moved[path]:.1e} of its value"
+    by, path = max(moved)
+    return f"the numbers are not the same: {path} differs by {by:.1e} of its value"
 
 
 def reached_by(result: "str | Path | FitResult") -> dict[str, Any]:
-    """Where a fit ended, as another one begins: `giajax.fitting.WarmStart` as plain data.
-
-    Arguments:
-        result: a result, its file or its folder.
-
-    Raises:
-        InputError: it is no result.
-    """
+    """Where a fit, its file or its folder ended, as `giajax.fitting.WarmStart` in plain data."""
     if isinstance(result, str | Path):
-        return _beginning(stored_result(result)[1])
-    known = _plain(result, "parameters", "config", "runs")
-    return _beginning({"model": result.model.kind, **known})
-
-
-def _plain(result: "FitResult", *names: str) -> dict[str, Any]:
-    """Some fields of a result as its file has them."""
-    plain: dict[str, Any] = plain_data({name: getattr(result, name) for name in names})
-    return plain
-
-
-def _beginning(record: Mapping[str, Any]) -> dict[str, Any]:
+        record = stored_result(result)[1]
+    else:
+        record = {"model": result.model.kind, **_plain(result, "parameters", "config", "runs")}
     fixed = {path.partition("[")[0] for path in record["config"].get("fix", {})}
     values = {
         path: estimate["value"]
@@ -135,6 +108,12 @@ def _beginning(record: Mapping[str, Any]) -> dict[str, Any]:
         if run.get("parameters")
     }
     return {"model": record["model"], "values": values, "own": own}
+
+
+def _plain(result: "FitResult", *names: str) -> dict[str, Any]:
+    """Some fields of a result as its file has them."""
+    plain: dict[str, Any] = plain_data({name: getattr(result, name) for name in names})
+    return plain
 
 
 def without(beginning: Mapping[str, Any], paths: Iterable[str]) -> dict[str, Any]:
@@ -152,96 +131,79 @@ def without(beginning: Mapping[str, Any], paths: Iterable[str]) -> dict[str, Any
 
 
 def fitted_runs(
-    result: "FitResult",
-    data: Sequence[str | Path] = (),
-    *,
-    rename: Mapping[str, str] | None = None,
+    result: "FitResult", data: Sequence[str | Path] = (), *, rename: Mapping[str, str] | None = None
 ) -> list[Run]:
     """The runs that a result was fitted to, as they were: channels, windows and what was stated.
+
+    They are in the order of the result, without what was held out of them.
 
     Arguments:
         result: of `giajax.load_result`.
         data: the files, where they lie elsewhere now; in any order.
         rename: the files' column name -> the name it has in the column table.
 
-    Returns:
-        The runs, in the order of the result, without what was held out of them.
-
     Raises:
         InputError: a file is missing, or is not the one that was fitted; or a run was made in
             memory.
     """
-    parts = _read_again(result.model.kind, _described(result, "runs"), data, rename)
+    parts = _read_again(result, result.runs, "runs", data, rename)
     return [run for part in parts if (run := part.fitted) is not None]
 
 
 def held_out_runs(
-    result: "FitResult",
-    data: Sequence[str | Path] = (),
-    *,
-    rename: Mapping[str, str] | None = None,
+    result: "FitResult", data: Sequence[str | Path] = (), *, rename: Mapping[str, str] | None = None
 ) -> list[Run]:
-    """What was held out of a fit, run by run: only these cells are in them.
+    """What was held out of a fit: the runs of `result.held_out`, in which only these cells are.
 
-    Arguments:
-        result, data, rename: as of `fitted_runs`.
-
-    Returns:
-        The runs, in the order of `result.held_out`.
-
-    Raises:
-        InputError: as `fitted_runs`.
+    Arguments and errors are those of `fitted_runs`.
     """
-    parts = _read_again(result.model.kind, _described(result, "hold_out"), data, rename)
+    parts = _read_again(result, result.held_out, "hold_out", data, rename)
     return [run for part in parts if (run := part.held) is not None]
 
 
-def _described(result: "FitResult", key: str) -> "list[tuple[RunFit | HeldOut, Mapping[str, Any]]]":
-    """The records of runs, or of what was held out, with what the configuration says of each."""
-    records = result.runs if key == "runs" else result.held_out
-    several = result.config.get(key, [])
-    try:
-        rows = [row for about in several for row in about.get("held_from", {}).values()]
-        if all(isinstance(row, int) for row in rows):
-            return list(zip(records, several, strict=True))
-    except (AttributeError, TypeError, ValueError):
-        pass
-    raise InputError(
-        "the result does not say of all its runs what was fitted: fit the data anew to ask about it"
-    )
-
-
 def _read_again(
-    kind: str,
-    several: "Sequence[tuple[RunFit | HeldOut, Mapping[str, Any]]]",
+    result: "FitResult",
+    records: "Sequence[RunFit | HeldOut]",
+    key: str,
     data: Sequence[str | Path],
     rename: Mapping[str, str] | None,
 ) -> list[SplitRun]:
-    """The runs of some records, each with what the configuration of the fit says of it."""
+    """The runs of some records, each with what a key of the configuration of the fit says of it."""
+    several = result.config.get(key, [])
+    if len(records) != len(several):
+        raise InputError(
+            "the result does not say of all its runs what was fitted: fit the data anew to ask "
+            "about it"
+        )
     read: dict[tuple[str, str], Run] = {}
     renamed = dict(rename or {})
-    others = {} if not data else {read_run(path, rename=renamed).sha256: path for path in data}
+    others = {read_run(path, rename=renamed).sha256: path for path in data}
     parts = []
-    for record, about in several:
+    for record, about in zip(records, several, strict=True):
         path = others.get(record.sha256, record.path if not data else None)
         if path is None:
             raise InputError(_missing(record, data))
         if not data and not Path(path).exists():
             raise InputError(f"{path}, which was fitted, does not exist: give the file with --data")
         known = {key: item for key, item in about.items() if key in run_keys(model=False)}
-        of = about.get("model", kind)
+        of = about.get("model", result.model.kind)
         definition = Definition.parse({"model": of, **known}, str(path))
-        key = str(path), definition.to_toml()
-        if key not in read:
-            read[key] = read_run(path, rename=renamed, definition=definition)
-        run = read[key]
+        place = str(path), definition.to_toml()
+        if place not in read:
+            read[place] = read_run(path, rename=renamed, definition=definition)
+        run = read[place]
         if run.sha256 != record.sha256:
             raise InputError(
                 f"{path} is not the file that was fitted: its content has changed, so run the fit "
                 "again or give the file that was"
             )
-        whole = _rows_as_before(run, record.name, about)
-        parts.append(split_run(whole, about.get("held_from", {})))
+        if "channels" in about:
+            run = observing(run, about["channels"])
+        if run.times is not None and about.get("rows") not in (None, len(run.times)):
+            # The window that the fit had.
+            first = int(np.searchsorted(run.times, about["from_s"] - 1e-9))
+            run = rows_of(run, slice(first, first + int(about["rows"])), record.name)
+        parts.append(split_run(run, about.get("held_from", {})))
     return parts
 
 
@@ -253,13 +215,3 @@ def _missing(record: "RunFit | HeldOut", data: Sequence[str | Path]) -> str:
         )
     named = ", ".join(map(str, data))
     return f"{named} have not the content of {record.path}, which was fitted: give that file"
-
-
-def _rows_as_before(run: Run, name: str, about: Mapping[str, Any]) -> Run:
-    """The channels and the window of a run that a fit had."""
-    if "channels" in about:
-        run = observing(run, about["channels"])
-    if run.times is None or about.get("rows") in (None, len(run.times)):
-        return run
-    first = int(np.searchsorted(run.times, about["from_s"] - 1e-9))
-    return rows_of(run, slice(first, first + int(about["rows"])), name)

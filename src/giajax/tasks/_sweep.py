@@ -25,11 +25,7 @@ if TYPE_CHECKING:
 
 # The table of a sweep: one row a fit, with a schema. Imports no JAX.
 
-_BEFORE: dict[str, Any] = {
-    "key": pl.String,
-    "status": pl.String,
-    "message": pl.String,
-}
+_BEFORE: dict[str, Any] = {"key": pl.String, "status": pl.String, "message": pl.String}
 _AFTER: dict[str, Any] = {
     "cost": pl.Float64,
     "reduced_chi_square": pl.Float64,
@@ -43,50 +39,33 @@ _AFTER: dict[str, Any] = {
 def table(
     columns: Sequence[str], cases: Sequence[Case], outcomes: Sequence[Outcome]
 ) -> pl.DataFrame:
-    """The rows of fits, in the order of the plan.
+    """The rows of fits, in the order of the plan, whose `columns` are what differs between them.
 
-    Arguments:
-        columns: what differs between them.
-        cases: its values, of each fit.
-        outcomes: what came of each.
-
-    Returns:
-        Key, status and message; what differs; `value.PATH` and `error.PATH` of each parameter that
-        a fit freed; how it went; and `validation.CHANNEL of RUN` and `held_out.CHANNEL of RUN`.
-        What a fit does not have is null.
+    Key, status and message; what differs; `value.PATH` and `error.PATH` of each parameter that a
+    fit freed; how it went; and `validation.CHANNEL of RUN` and `held_out.CHANNEL of RUN`. What a
+    fit does not have is null.
     """
-    found = [outcome.value or {} for outcome in outcomes]
-    paths = list(dict.fromkeys(path for value in found for path in value.get("values", ())))
-    swept = {name: [case.get(name) for case in cases] for name in columns}
-    kinds = {name: _kind(values) for name, values in swept.items()}
-    data: dict[str, list[Any]] = {
-        "key": [outcome.key for outcome in outcomes],
+    kinds = {name: _kind([case.get(name) for case in cases]) for name in columns}
+    rows: list[dict[str, Any]] = []
+    estimates: dict[str, Any] = {}
+    predicted: dict[str, Any] = {}
+    for case, outcome in zip(cases, outcomes, strict=True):
         # How a fit ended is more than that it did.
-        "status": [
-            value.get("status", outcome.status)
-            for value, outcome in zip(found, outcomes, strict=True)
-        ],
-        "message": [
-            value.get("message", outcome.message)
-            for value, outcome in zip(found, outcomes, strict=True)
-        ],
-    }
-    for name, values in swept.items():
-        text = kinds[name] is pl.String
-        data[name] = [_as_text(value) if text else value for value in values]
-    for path in paths:
-        data[f"value.{path}"] = [value.get("values", {}).get(path) for value in found]
-        data[f"error.{path}"] = [value.get("errors", {}).get(path) for value in found]
-    for name in ("cost", "reduced_chi_square", "verdict", "iterations"):
-        data[name] = [value.get(name) for value in found]
-    data["seconds"] = [outcome.seconds for outcome in outcomes]
-    data["worker"] = [outcome.worker for outcome in outcomes]
-    predicted = list(dict.fromkeys(name for value in found for name in value.get("rmse", {})))
-    for name in predicted:
-        data[name] = [value.get("rmse", {}).get(name) for value in found]
-    estimates = {f"{what}.{path}": pl.Float64 for path in paths for what in ("value", "error")}
-    errors = dict.fromkeys(predicted, pl.Float64)
-    return pl.DataFrame(data, schema={**_BEFORE, **kinds, **estimates, **_AFTER, **errors})
+        row = {name: getattr(outcome, name) for name in (*_BEFORE, "seconds", "worker")}
+        for name, kind in kinds.items():
+            row[name] = _as_text(case.get(name)) if kind is pl.String else case.get(name)
+        for name, item in (outcome.value or {}).items():
+            if name == "rmse":
+                row |= item
+                predicted |= dict.fromkeys(item, pl.Float64)
+            elif name in ("values", "errors"):
+                row |= {f"{name[:-1]}.{path}": number for path, number in item.items()}
+                names = (f"{what}.{path}" for path in item for what in ("value", "error"))
+                estimates |= dict.fromkeys(names, pl.Float64)
+            else:
+                row[name] = item
+        rows.append(row)
+    return pl.DataFrame(rows, schema={**_BEFORE, **kinds, **estimates, **_AFTER, **predicted})
 
 
 def _kind(values: Sequence[Any]) -> Any:
@@ -114,7 +93,7 @@ def fitted(
     begin: Mapping[str, Any] | None,
     paths: Mapping[str, Sequence[str]],
 ) -> dict[str, Any]:
-    """Fit, without the checks that end a single fit: gradient, tolerance and suspects.
+    """A task: a fit without the checks that end a single one: gradient, tolerance and suspects.
 
     Arguments:
         definition: all settings, as `Definition.contents` has them.
@@ -122,13 +101,6 @@ def fitted(
             its sidecar, which is None where there is none.
         rename, begin: as of `FitTask`.
         paths: where the files are, in the same order.
-
-    Returns:
-        How it ended, and what it found.
-
-    Raises:
-        InputError: a file has changed, 32-bit, or the fit cannot be done.
-        KeyboardInterrupt: it was stopped.
     """
     check_precision()
     for part, files in inputs.items():
@@ -145,8 +117,7 @@ def fitted(
     result = task.run(check=False)
     if result.status == "interrupted":
         raise KeyboardInterrupt
-    estimates: dict[str, Any]
-    estimates = {path: item for path, item in result.parameters.items() if item.free}
+    estimates: dict[str, Any] = dict(result.free)
     for run, name in zip(result.runs, _names(result.runs), strict=True):
         estimates |= {f"{path} of {name}": item for path, item in run.parameters.items()}
     return {
@@ -181,11 +152,7 @@ def _names(runs: "Sequence[RunFit | PredictionErrors | HeldOut]") -> list[str]:
 
 
 def check_precision() -> None:
-    """Refuse 32-bit: what is kept of a fit does not say how precise it is.
-
-    Raises:
-        InputError: JAX computes in 32-bit.
-    """
+    """Refuse 32-bit: what is kept of a fit does not say how precise it is."""
     import jax
 
     if not jax.config.read("jax_enable_x64"):
@@ -258,8 +225,6 @@ def sweep(
 
 def _check_none_is_lost(path: Path, keys: set[str]) -> None:
     """Refuse to write over a table with fits that the plan does not have."""
-    import polars as pl
-
     if not path.exists():
         return
     before: set[str] = set()
