@@ -29,6 +29,7 @@ from .apps.filling import (
 from .apps.synthetic import (
     RecordingErrors as RecordingErrors,
     gusts as gusts,
+    planned as planned,
     recorded_again as recorded_again,
     synthesise as synthesise,
     with_errors as with_errors,
@@ -175,7 +176,6 @@ from .studies import (
     ladder as ladder,
     load_profiles as load_profiles,
     multi_start as multi_start,
-    planned as planned,
     posterior as posterior,
     profile as profile,
     sensitivity as sensitivity,

@@ -7,12 +7,12 @@ import pytest
 import giajax
 from giajax import ArmModel, InputError, model_for
 from giajax.apps.synthetic import synthesise
-from giajax.studies import expected_errors, planned, sensitivity
+from giajax.studies import expected_errors, sensitivity
 
 TIMES = np.linspace(0.0, 4.0, 41)
 COMMAND = {"joint01_command": np.interp(TIMES, [0.5, 1.5], [0.0, 0.5])}
 FREE = ["air.drag_coefficient", "joints.pitch_stiffness"]
-RUN = planned(TIMES, COMMAND, links=3)
+RUN = giajax.planned(TIMES, COMMAND, links=3)
 
 
 def model():

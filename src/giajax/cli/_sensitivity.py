@@ -96,7 +96,7 @@ def sensitivity(
 
     configure()
 
-    from ..apps.synthetic import Drive, sampled
+    from ..apps.synthetic import Drive, planned, sampled
     from ..models import model_for, parameter_values
     from ..recordings import Definition
     from ..report import information_shares, sensitivity_figure, sensitivity_files, to_png
@@ -109,7 +109,7 @@ def sensitivity(
     )
     from ..schema.parameters import replace
     from ..simulation import SimulationError
-    from ..studies import planned, sensitivity as along
+    from ..studies import sensitivity as along
 
     model: AbstractModel
     names: list[str] | None

@@ -70,7 +70,12 @@ RENAMED: dict[str, dict[str, str]] = {
     },
     "models": {"AbstractDirectModel": "models.AbstractModel"},
     "tasks": {"begun": "tasks.with_warm_start"},
-    "diagnosis": {"Ladder": "studies.StepwiseSelection", "Rung": "studies.Step"},
+    "diagnosis": {
+        "Ladder": "studies.StepwiseSelection",
+        "Rung": "studies.Step",
+        "planned": "apps.synthetic.planned",
+    },
+    "studies": {"planned": "apps.synthetic.planned"},
     "runs": {
         "Fit": "recordings.FitSettings",
         "Parted": "recordings.SplitRun",

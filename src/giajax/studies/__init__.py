@@ -1,5 +1,8 @@
 """Questions that take many fits or derivatives of a fitted model."""
 
+from typing import TYPE_CHECKING
+
+from ..runtime.aliases import earlier as _earlier
 from ._bootstrap import (
     Bootstrap as Bootstrap,
     Repeated as Repeated,
@@ -66,7 +69,6 @@ from ._sensitivity import (
     Sensitivity as Sensitivity,
     body_of as body_of,
     expected_errors as expected_errors,
-    planned as planned,
     sensitivity as sensitivity,
 )
 from ._starts import (
@@ -95,3 +97,7 @@ from ._systematic import (
     with_suspects as with_suspects,
     with_systematic_errors as with_systematic_errors,
 )
+
+# Type checkers are to complain of what is not there.
+if not TYPE_CHECKING:
+    __getattr__ = _earlier(__name__)

@@ -178,14 +178,10 @@ _LARGEST_SHARE = 1 / 3
 
 @dataclasses.dataclass(frozen=True)
 class Residuals:
-    """Residuals of a run, ready to be taken in blocks.
+    """Residuals of a run, ready to be taken in blocks of a length in samples.
 
-    Attributes:
-        channels: names.
-        predicted: what the fitted model predicts, SI, shape (sample, channel).
-        residuals: recorded minus predicted, with mean 0, as large as the noise; NaN where nothing
-            was measured, of the same shape.
-        length: of a block, in samples.
+    They are recorded minus predicted, SI, with mean 0, as large as the noise; NaN where nothing was
+    measured.
     """
 
     channels: tuple[str, ...]

@@ -81,14 +81,12 @@ def not_neutral(result: FitResult, runs: Sequence[Run]) -> dict[str, str]:
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """One direction of the parameters that may be asked for.
+    """One direction of the parameters that may be asked for: a parameter, or an element of it.
+
+    A factor, of value 1, is of an array whose elements change in proportion.
 
     Attributes:
-        path: of the parameter or of one element of it.
-        kind: "parameter", or "factor" for an array whose elements change in proportion.
         unit: SI unit of the amount.
-        value: what the model has; 1 for a factor.
-        lower, upper: bounds of the value.
         size: typical size of the value.
         direction: what a unit of the amount changes.
         group: path of the parameter whose elements are asked for together; "" for none.

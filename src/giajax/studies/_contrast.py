@@ -11,15 +11,12 @@ import numpy as np
 from ..fitting import Estimate, FitResult, RunFit, in_column_units
 from ._starts import misfit
 
-# What must be the same, beside the data, where likelihoods are compared.
-_ASSUMED = ("noise", "loss", "prior")
-
 
 def obstacles(results: Sequence[FitResult], names: Sequence[str]) -> list[str]:
     """Sentences on why the likelihoods of some results cannot be compared with the first's."""
-    said = []
-    first = results[0]
-    for result, name in zip(results[1:], names[1:], strict=True):
+    said, first = [], results[0]
+    assumed = [_assumed(result) for result in results]
+    for result, name, others in zip(results[1:], names[1:], assumed[1:], strict=True):
         if not all(run.sha256 for run in (*first.runs, *result.runs)):
             said.append(
                 f"{names[0]} or {name} was fitted to a run without a file: whether their data are "
@@ -30,7 +27,7 @@ def obstacles(results: Sequence[FitResult], names: Sequence[str]) -> list[str]:
                 f"{names[0]} and {name} were fitted to different data: chi-square and BIC cannot "
                 "be compared, parameters can"
             )
-        elif differing := [what for what in _ASSUMED if _of(first, what) != _of(result, what)]:
+        elif differing := [what for what, mine in assumed[0].items() if others[what] != mine]:
             said.append(
                 f"{names[0]} and {name} assume another {' and another '.join(differing)}: "
                 "chi-square, BIC and standard errors cannot be compared"
@@ -60,8 +57,8 @@ def _place(run: RunFit, about: dict[str, Any]) -> tuple[str, float]:
     return str(run.sha256), about.get("from_s") or 0.0
 
 
-def _of(result: FitResult, what: str) -> str:
-    """What a fit took for granted, as text."""
+def _assumed(result: FitResult) -> dict[str, str]:
+    """What must be the same, beside the data, where likelihoods are compared; as text."""
     config = result.config
     ordered = sorted(_described(result), key=lambda described: _place(*described))
     stated = [about.get("noise") for _, about in ordered]
@@ -70,7 +67,7 @@ def _of(result: FitResult, what: str) -> str:
         "loss": config.get("loss"),
         "prior": config.get("priors") or None,
     }
-    return json.dumps(assumed[what], sort_keys=True)
+    return {what: json.dumps(value, sort_keys=True) for what, value in assumed.items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,12 +179,9 @@ def contrast(results: Sequence[FitResult], names: Sequence[str]) -> Contrast:
 def _row(path: str, tables: Sequence[dict[str, Estimate]]) -> ContrastRow:
     found = [table.get(path) for table in tables]
     unit = next(one.unit for one in found if one is not None)
-    estimates = tuple(one if one is not None and one.unit == unit else None for one in found)
-    differences = tuple(
-        None if index == 0 else _difference(estimates[0], one)
-        for index, one in enumerate(estimates)
-    )
-    return ContrastRow(path, unit, estimates, differences)
+    first, *rest = (one if one is not None and one.unit == unit else None for one in found)
+    differences = (None, *(_difference(first, one) for one in rest))
+    return ContrastRow(path, unit, (first, *rest), differences)
 
 
 def _difference(first: Estimate | None, other: Estimate | None) -> float | None:

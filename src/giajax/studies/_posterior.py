@@ -31,19 +31,10 @@ _AT_ONCE = 20
 # draws for each parameter, are needed to estimate a better one.
 _LEAST_TO_ADAPT, _EACH = 150, 10
 
+# Called with the transitions that chains of this process do, after each few.
 _listener: contextvars.ContextVar[Callable[[int], None] | None] = contextvars.ContextVar(
     "_listener", default=None
 )
-
-
-@contextlib.contextmanager
-def reporting(listener: Callable[[int], None] | None) -> Iterator[None]:
-    """Call a function with the transitions that chains of this process do, after each few."""
-    token = _listener.set(listener)
-    try:
-        yield
-    finally:
-        _listener.reset(token)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -216,14 +207,15 @@ def posterior(
         for at, one in enumerate(begun)
     ]
     counted = _Progress(progress, chains, draws + warmup)
-    with reporting(counted.moved):
+    token = _listener.set(counted.moved)
+    try:
         outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=counted.done)
+    finally:
+        _listener.reset(token)
     found = [outcome.value for outcome in outcomes if outcome.status == "done"]
     failed = [outcome.message for outcome in outcomes if outcome.status == "failed"]
     if not found:
-        if failed:
-            raise InputError(f"no chain was drawn: {failed[0]}")
-        raise KeyboardInterrupt
+        raise InputError(f"no chain was drawn: {failed[0]}") if failed else KeyboardInterrupt
     whole = np.stack([np.asarray(one["values"], dtype=float) for one in found])
     each = bands(result, fitted.runs, optimum, whole.reshape(-1, whole.shape[-1]))
     samples = whole[..., np.asarray(density.places)]

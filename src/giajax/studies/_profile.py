@@ -43,13 +43,7 @@ _AT_BOUND = 1e-6
 
 
 class PathPoint(NamedTuple):
-    """A fit with the quantity held.
-
-    Attributes:
-        at: value of the quantity.
-        root: of the deviance from the optimum, signed: negative where the cost is lower.
-        fit: how it ended.
-    """
+    """A fit with the quantity held, and the root of its deviance: negative for a lower cost."""
 
     at: float
     root: float

@@ -85,14 +85,10 @@ _SHORTEST, _ROUNDING, _CORRECTIONS = 1e-9, 1e-12, 30
 
 
 class Followed(NamedTuple):
-    """A fit with a quantity held.
+    """A fit with a quantity held: the values of all free parameters, SI, and how it ended there.
 
-    Attributes:
-        values: of all free parameters, SI.
-        cost: as of `Optimum`; infinite where nothing could be evaluated.
-        jacobian: of the residuals by the parameters there; None likewise.
-        reason: as of `Refit`.
-        converged: whether it is at an optimum of what was free.
+    The cost is infinite, and there is no Jacobian of the residuals, where nothing could be
+    evaluated; the reason is one of `Refit`.
     """
 
     values: np.ndarray
@@ -265,9 +261,6 @@ def quantity_names(result: FitResult, optimum: Optimum, asked: Sequence[str] | N
 
     `asked` are labels, paths (of an array, or of what has a value for each run, all of its values)
     or names of derived quantities; None for all free parameters of the model.
-
-    Raises:
-        InputError: there is no such quantity.
     """
     shared = optimum.labels[: optimum.state.problem.shared]
     names: list[str] = []

@@ -69,11 +69,7 @@ def _begun_as(result: FitResult, run: Run, record: RunFit) -> Run:
 
 
 def optimum_of(result: FitResult, runs: Sequence[Run]) -> Optimum:
-    """Where a fit of runs, in their order, ended: to be asked again without compiling anew.
-
-    Raises:
-        InputError: the model cannot be evaluated there.
-    """
+    """Where a fit of runs, in their order, ended: to be asked again without compiling anew."""
     settings, model = FitSettings.shared_with(result.config), result.model
     values = end_values(result)
     start = {
@@ -174,8 +170,8 @@ def _own_values(result: FitResult, model: AbstractModel) -> dict[str, dict[str, 
 def _inside(parameter: Parameter, value: float, bounds: Mapping[str, Sequence[float]]) -> float:
     """A value well within the bounds of a fit, where a start on one of them would stay."""
     declaration, path = parameter.declaration, parameter.path
-    known = bounds.get(path, bounds.get(path.partition("[")[0]))
-    lower, upper = known or (declaration.lower, declaration.upper)
+    whole = bounds.get(path.partition("[")[0], (declaration.lower, declaration.upper))
+    lower, upper = bounds.get(path, whole)
     width = min(upper - lower, abs(declaration.default) or 1.0)
     return between(value, lower, upper, margin=_INSIDE * width)
 
@@ -194,11 +190,7 @@ class Fitted:
 
     @classmethod
     def of(cls, result: FitResult, runs: Run | Sequence[Run], *, converged: bool = False) -> Self:
-        """A result, which must have `converged` or not, and its runs, in their order.
-
-        Raises:
-            InputError: these are not its runs, or it has not converged.
-        """
+        """A result, which must have `converged` or not, and its runs, in their order."""
         if converged and result.status != "converged":
             raise InputError(
                 "the fit did not converge, and there is no optimum: fit it to its end first"
@@ -234,11 +226,7 @@ class Fitted:
         return run_tasks(tasks, **how)
 
     def optimum(self) -> Optimum:
-        """Where the fit ended, evaluated or compiled once a process, however many tasks ask for it.
-
-        Raises:
-            InputError: the model cannot be evaluated there.
-        """
+        """Where the fit ended, evaluated once a process, however many tasks ask for it."""
         return prepared(("optimum", self.task_key), lambda: optimum_of(self.result, self.runs))
 
 
@@ -309,11 +297,7 @@ class StudyRecord:
 
     @classmethod
     def of_json(cls, text: str | bytes) -> Self:
-        """The record that a text of `to_json` holds.
-
-        Raises:
-            InputError: it is of none, or of another version.
-        """
+        """The record that a text of `to_json` holds."""
         what = f"this is no {cls.file} of this version of giajax"
         return parse_record(cls, text, cls.head, what, cls.remedy)
 

@@ -178,10 +178,6 @@ class Coordinates:
         return float(sum(np.sum(each[:, 0] ** 2) for each in rows))
 
 
-# What a fit cannot imitate: residuals and tested columns without the span of its Jacobian.
-#
-# Plain numpy; nothing here knows of models.
-
 # Columns of a fit that add less than this to the span of the others, relative to their size.
 _RANK = 1e-9
 

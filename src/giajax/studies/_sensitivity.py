@@ -17,38 +17,6 @@ from ..runtime.text import InputError
 from ..schema.parameters import elements, replace, switched_on
 from ..simulation import SimulationError
 
-
-def planned(
-    times: Any,
-    inputs: dict[str, Any],
-    *,
-    links: int = 20,
-    channels: Sequence[str] | None = None,
-    definition: dict[str, Any] | None = None,
-    name: str = "planned",
-) -> Run:
-    """A run of an arm that is still to be recorded: what will be commanded, and when.
-
-    Arguments:
-        times: of the samples, s, shape (sample,).
-        inputs: what drives the arm, by channel (`joint01_command`), SI, each (sample,).
-        links: number of links of the arm, unless the definition states it.
-        channels: what will be recorded; the positions of all links by default.
-        definition: what a sidecar would say.
-        name: of the run.
-
-    Returns:
-        The run; the channels to be recorded are 0.
-    """
-    definition = dict(definition or {})
-    arm = {"links": links, **definition.get("arm", {})}
-    every = [f"link{i:02d}_{axis}" for i in range(1, arm["links"] + 1) for axis in "xyz"]
-    blank = {channel: np.zeros(len(np.asarray(times))) for channel in channels or every}
-    return Run.from_arrays(
-        times, {**inputs, **blank}, name=name, definition={**definition, "arm": arm}
-    )
-
-
 # Column-normalised singular values below this are directions that no channel shows.
 _FLAT = 1e-8
 
@@ -157,8 +125,9 @@ def sensitivity(
 
     Example:
         >>> import giajax, numpy as np
-        >>> from giajax.studies import planned, sensitivity
-        >>> run = planned(np.linspace(0.0, 5.0, 51), {"joint01_command": np.full(51, 0.3)}, links=4)
+        >>> from giajax.studies import sensitivity
+        >>> command = {"joint01_command": np.full(51, 0.3)}
+        >>> run = giajax.planned(np.linspace(0.0, 5.0, 51), command, links=4)
         >>> result = sensitivity(giajax.model_for([run]), run, ["air.drag_coefficient"])
         >>> result.derivatives.shape
         (1, 51, 12)

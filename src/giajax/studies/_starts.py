@@ -78,10 +78,8 @@ def in_order(
     ended = list(known)
     while len(ended) < starts and not any(start.status == "converged" for start, _ in ended):
         end = one(len(ended) + 1, (), directly)
-        if end is None:
-            return ended
-        ended.append(end)
-        if interrupts(end):
+        ended += [] if end is None else [end]
+        if end is None or interrupts(end):
             return ended
     earlier = [*fitted, *(result for _, result in ended if result is not None)]
     left = range(len(ended) + 1, starts + 1)
@@ -299,9 +297,6 @@ def _result(setup: Setup, text: str) -> FitResult:
     return dataclasses.replace(bare, model=model)
 
 
-# The starts of an earlier result, to which more are added.
-
-
 def has_earlier_starts(before: FitResult | None, setup: Setup) -> bool:
     """Whether starts can be added to a result; an earlier version chose others, for example."""
     if before is None:
@@ -320,9 +315,6 @@ def earlier_starts(
     """The starts of a result that are the first ones of another fit, and need not be fitted again.
 
     Of the same fit from fewer starts: those before the first that did not come to an end.
-
-    Raises:
-        InputError: the result is of another fit, or its starts were others.
     """
     asked = json.loads(json.dumps(setup.config))
     if any(before.config.get(key) != value for key, value in asked.items()):

@@ -7,18 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..fitting import (
-    ChannelFit,
-    Direction,
-    FitResult,
-    Response,
-    SystematicError,
-    matching_runs,
-    scores,
-)
+from ..fitting import Direction, FitResult, Response, SystematicError, matching_runs, scores
 from ..models import AbstractModel
 from ..noise import ChannelNoise, whitened
-from ..recordings import Channel, Run
+from ..recordings import Run
 from ..runtime.text import InputError
 from ..schema.parameters import elements, get, switched_on
 from ._candidates import Inquiry, inquiry
@@ -47,12 +39,7 @@ def check_uncertainty(
     uncertainty: Mapping[str, npt.ArrayLike],
     ties: Mapping[str, str] | None = None,
 ) -> None:
-    """Refuse uncertainties that `systematic_errors` would refuse, before anything is fitted.
-
-    Raises:
-        InputError: an unknown path, one that is fitted or tied, or an uncertainty that is not
-            positive.
-    """
+    """Refuse uncertainties that `systematic_errors` would refuse, before anything is fitted."""
     if uncertainty:
         stated_doubts(free, inquiry(model, free, ties=ties), uncertainty)
 
@@ -180,9 +167,8 @@ def deciding_conditions(errors: Sequence[SystematicError]) -> list[str]:
     """A sentence on each held number that decides: 1 % of it is more than a standard error."""
     sentences = []
     for error in errors:
+        change = f"{error.uncertainty:.3g} {error.unit}".rstrip() if error.stated else "1 %"
         if error.decides:
-            by = f"{error.uncertainty:.3g}{f' {error.unit}' if error.unit else ''}"
-            change = by if error.stated else "1 %"
             sentences.append(
                 f"{error.path}: is held and decides, because a change of it by {change} moves "
                 f"{', '.join(error.decides)} by more than a standard error"
@@ -192,11 +178,9 @@ def deciding_conditions(errors: Sequence[SystematicError]) -> list[str]:
 
 def together(errors: Sequence[SystematicError]) -> dict[str, float]:
     """The systematic error of each fitted parameter: the stated ones, in quadrature."""
-    squares: dict[str, float] = {}
-    for error in errors:
-        if error.stated:
-            for path, shift in error.shifts.items():
-                squares[path] = squares.get(path, 0.0) + shift**2
+    stated = [error.shifts for error in errors if error.stated]
+    paths = dict.fromkeys(path for shifts in stated for path in shifts)
+    squares = {path: sum(shifts.get(path, 0.0) ** 2 for shifts in stated) for path in paths}
     return {path: float(np.sqrt(square)) for path, square in squares.items()}
 
 
@@ -279,19 +263,15 @@ def _whitened(
     parts = []
     for index, name in enumerate(response.channels):
         measured = ~np.isnan(response.observed[:, index])
-        noise = _noise_of(run.channels[name], record.channels[name])
+        channel, known = run.channels[name], record.channels[name]
+        whole, correlated = (float(channel.to_si(one)) for one in (known.noise, known.correlated))
+        noise = ChannelNoise.of_cell(whole, correlated, known.correlation_time_s)
         rest = (response.predicted - response.observed)[measured, index] / noise.deviation
         # The second derivative of the loss: a residual beyond its corner does not pull.
         weights = np.maximum(scores(loss, rest)[1], _LEAST_WEIGHT)
         times = None if run.times is None else run.times[measured]
         parts.append(whitened(noise, times, columns[measured, index], weights))
     return np.concatenate(parts)
-
-
-def _noise_of(channel: Channel, known: ChannelFit) -> ChannelNoise:
-    """The noise that a channel was weighted with, SI."""
-    whole, correlated = (float(channel.to_si(one)) for one in (known.noise, known.correlated))
-    return ChannelNoise.of_cell(whole, correlated, known.correlation_time_s)
 
 
 def with_suspects(

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration
     from ._preparation import Preparation
 
-# Settings of a task that are changed: the last word on a parameter counts. Imports no JAX.
-
 Paths = str | Path | Sequence[str | Path]
 
 

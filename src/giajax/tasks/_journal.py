@@ -34,8 +34,6 @@ from ..runtime.text import InputError
 if TYPE_CHECKING:
     from ..fitting import FitResult
 
-# A task as plain data, in a result and in a journal: enough to fit the same again.
-
 # What ends a fit or says where it goes, and not which fit it is.
 _ASIDE = ("out", "budget", "max_iterations")
 
@@ -89,9 +87,8 @@ def _base_of(record: Mapping[str, Any], folder: Path) -> Path:
 def _change(record: Mapping[str, Any], base: Path) -> str | None:
     """The first file of a task that is not as it was, and how; None where there is none."""
     for name, before in record["inputs"].items():
-        path = base / name
-        if _checksum(path, needed=before is not None) != before:
-            return f"{path} {'is new' if before is None else 'has changed'}"
+        if _checksum(base / name, needed=before is not None) != before:
+            return f"{base / name} {'is new' if before is None else 'has changed'}"
     return None
 
 
@@ -248,14 +245,13 @@ class Journal:
     """The journal of a fit, which may have several starts.
 
     A line that cannot be written (the disk is full) does not end the fit: it is written with the
-    next one, if there is room again.
+    next one, if there is room again. `complain` is called with a sentence then, once.
 
     Arguments:
         path: of the file.
         head: its first line.
         lines: those that it holds after that.
         size: of the file up to the end of its last whole line, bytes; 0 where there is none yet.
-        complain: called with a sentence where a line cannot be written, once.
     """
 
     def __init__(
@@ -267,8 +263,7 @@ class Journal:
         complain: Callable[[str], None] = lambda sentence: None,
     ) -> None:
         self.path, self.head, self.complain = path, head, complain
-        self._lines = list(lines)
-        self._size = size
+        self._lines, self._size = list(lines), size
         self._waiting = b"" if size else _encoded({"giajax_journal": _FORMAT, **head})
         self._descriptor: int | None = None
         self._complained: set[str] = set()

@@ -127,9 +127,6 @@ def without(beginning: Mapping[str, Any], paths: Iterable[str]) -> dict[str, Any
     return {**beginning, "values": kept}
 
 
-# The runs of a stored result, those that were held out too, read again from their files.
-
-
 def fitted_runs(
     result: "FitResult", data: Sequence[str | Path] = (), *, rename: Mapping[str, str] | None = None
 ) -> list[Run]:

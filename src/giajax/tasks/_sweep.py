@@ -23,8 +23,7 @@ from ._plan import Case, Plan
 if TYPE_CHECKING:
     from ..fitting import FitResult, HeldOut, PredictionErrors, RunFit
 
-# The table of a sweep: one row a fit, with a schema. Imports no JAX.
-
+# The columns of a table, which has one row a fit.
 _BEFORE: dict[str, Any] = {"key": pl.String, "status": pl.String, "message": pl.String}
 _AFTER: dict[str, Any] = {
     "cost": pl.Float64,
@@ -81,9 +80,6 @@ def _kind(values: Sequence[Any]) -> Any:
 def _as_text(value: Any) -> str | None:
     """Text as it is, and what is no text as JSON."""
     return value if isinstance(value, str | None) else json.dumps(value)
-
-
-# One fit of a sweep, as a worker does it: from plain data to plain data.
 
 
 def fitted(

@@ -1,6 +1,12 @@
 """Runs that a model makes instead of an experiment: what drives them, and how they are recorded."""
 
-from ._drive import Drive as Drive, Move as Move, joint_moves as joint_moves, sampled as sampled
+from ._drive import (
+    Drive as Drive,
+    Move as Move,
+    joint_moves as joint_moves,
+    planned as planned,
+    sampled as sampled,
+)
 from ._gusts import (
     DECAY as DECAY,
     RESOLVED as RESOLVED,
