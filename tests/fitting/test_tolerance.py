@@ -11,7 +11,7 @@ import pytest
 from test_journal import HEAD
 
 import giajax
-from giajax.fitting import fit, set_up, solve, state_at_end, tolerance_of
+from giajax.fitting import fit, set_up, solve, state_at_end
 from giajax.models import ArmModel, Integration
 from giajax.recordings import hold_out
 from giajax.studies import refit
@@ -153,7 +153,7 @@ def test_a_refit_and_what_is_held_out_have_a_tolerance_that_suits_them():
     result = solve(set_up(Approximate(bias=300.0), part.fitted, **settings), check=False)
     assert result.integration.tolerance < 2e-6
     whole = set_up(Approximate(bias=300.0), recorded, **settings)
-    assert tolerance_of(state_at_end(result, whole, [part])) == result.integration.tolerance
+    assert state_at_end(result, whole, [part]).tolerance == result.integration.tolerance
     again = refit(result, [recorded])
     assert again.integration == result.integration
     assert again.config["tolerance"] is None

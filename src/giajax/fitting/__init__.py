@@ -112,7 +112,6 @@ from ._steps import (
     evaluate as evaluate,
     residuals_at as residuals_at,
     step as step,
-    tolerance_of as tolerance_of,
     trial as trial,
 )
 from ._uncertainty import (

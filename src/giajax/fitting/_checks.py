@@ -18,7 +18,6 @@ from ._steps import (
     move,
     residuals_at,
     step,
-    tolerance_of,
 )
 from ._uncertainty import inverse_gram
 
@@ -195,7 +194,7 @@ def can_improve(state: FitState) -> bool:
 
 def finer_factor(state: FitState) -> float:
     """What a tolerance, or what the model has in its place, is multiplied by to be compared."""
-    if tolerance_of(state) is None:
+    if state.tolerance is None:
         return 0.5
     return _FINER_OF_MANY if has_many_rows(state) else FINER
 
@@ -218,7 +217,7 @@ def _tightened(
     state: FitState, factor: float = _TIGHTER, shift: np.ndarray | float = 0.0
 ) -> FitState | None:
     """The point, shifted within its bounds, evaluated with a finer tolerance."""
-    tolerance = tolerance_of(state)
+    tolerance = state.tolerance
     if tolerance is None or tolerance < _FINEST * 1.5:
         return None
     tighter = at_tolerance(state, tolerance * factor)
@@ -309,15 +308,16 @@ def checks(state: FitState, statistics: Statistics) -> Checks:
 def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | None:
     """The Jacobian against a difference at the optimum, at a finer tolerance.
 
-    One direction in which every parameter has the same weight in the residual: a wrong column
-    of any of them shows. Parameters at a bound take no part, because there is nothing beyond it
-    to take a difference with, nor do those that nothing responds to where they ended. Of many runs
+    One direction in which every parameter has the same weight in the residual: a wrong column of
+    any of them shows. Parameters at a bound take no part, because there is nothing beyond it to
+    take a difference with, nor do those that nothing responds to where they ended. Of many runs
     with the same channels, whose derivatives are one program, a few are looked at. Of recordings
     with many rows the tolerance is that of the fit, and in 64 bit the difference is to one side:
     the steps of the integrator then show, by some 1e-4, but a wrong column still does, and the
-    finer Jacobian would take as long as the fit.
+    finer Jacobian would take as long as the fit. None where no parameter is left, or a simulation
+    fails.
     """
-    tolerance = tolerance_of(state)
+    tolerance = state.tolerance
     known_here = tolerance is not None and has_many_rows(state)
     centre, problem = np.asarray(state.coordinate), state.problem
     offset = _DIFFERENCE if centre.dtype == np.float64 else _DIFFERENCE_32

@@ -1,6 +1,7 @@
 """What a fit is asked: which parameters are free and tied, checked before anything is evaluated."""
 
 import dataclasses
+import functools
 import graphlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Self, TypeVar, Unpack
@@ -259,7 +260,7 @@ class Setup:
                 starts[places[column]] = between(known[path], *bounds) if path in known else value
         return starts
 
-    @property
+    @functools.cached_property
     def chooses_tolerance(self) -> bool:
         """Whether the fit chooses the tolerance of an integrator, where nobody states it."""
         integration = capabilities.integration(self.model)

@@ -109,14 +109,9 @@ def _converted(estimate: Estimate, units: Mapping[str, _Unit]) -> Estimate:
     def scaled(value: Any) -> Any:
         return None if value is None else (np.asarray(value, dtype=float) * factor).tolist()
 
-    return dataclasses.replace(
-        estimate,
-        value=scaled(estimate.value),
-        standard_error=scaled(estimate.standard_error),
-        lower=scaled(estimate.lower),
-        upper=scaled(estimate.upper),
-        unit=unit,
-    )
+    names = ("value", "standard_error", "lower", "upper")
+    numbers = {name: scaled(getattr(estimate, name)) for name in names}
+    return dataclasses.replace(estimate, unit=unit, **numbers)
 
 
 def _unit(unit: str, units: Mapping[str, _Unit]) -> _Unit:
@@ -273,12 +268,7 @@ def _followers(model: AbstractModel, ties: Sequence[Tie]) -> dict[str, tuple[str
 
 @dataclasses.dataclass(frozen=True)
 class Direction:
-    """A change of a parameter of a model.
-
-    Attributes:
-        path: of the parameter, without an index.
-        step: its change for a unit, in its SI unit and of its shape.
-    """
+    """A change of a whole parameter (its path) for a unit: its step is of its SI unit and shape."""
 
     path: str
     step: np.ndarray

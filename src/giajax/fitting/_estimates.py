@@ -248,11 +248,18 @@ def _free(
             remark=f"mean of {len(places)} values, one for each {runs}; result.json has them",
             **common,
         )
+    value = float(statistics.values[index])
+    error = finite_or_none(statistics.standard_errors.get(index))
+    interval = None
+    if error is not None:
+        # Where a bound cuts it, it is one-sided.
+        reach = student_reach(statistics.degrees_of_freedom[index]) * error
+        interval = max(value - reach, declaration.lower), min(value + reach, declaration.upper)
     return Estimate(
-        value=float(statistics.values[index]),
-        standard_error=finite_or_none(statistics.standard_errors.get(index)),
-        remark=_remark(state, statistics, index),
-        interval=interval(statistics, index, declaration),
+        value=value,
+        standard_error=error,
+        remark=_remark(state, statistics, index, error),
+        interval=interval,
         freedom=finite_or_none(statistics.degrees_of_freedom.get(index)),
         sandwich_error=finite_or_none(statistics.sandwich.get(index)),
         prior_share=finite_or_none(statistics.prior_shares.get(index)),
@@ -264,22 +271,6 @@ def _free(
 def student_reach(freedom: float, level: float = _LEVEL) -> float:
     """Half of an interval by Student's t of some degrees of freedom, in standard errors."""
     return float(stdtrit(min(freedom, _NORMAL), (1 + level) / 2))
-
-
-def interval(
-    statistics: Statistics, index: int, declaration: Declaration
-) -> tuple[float, float] | None:
-    """The interval that holds a parameter by 95 %; None without a standard error.
-
-    By Student's t with the degrees of freedom that the estimated noise leaves, and within the
-    bounds: an interval that a bound cuts is one-sided.
-    """
-    error = finite_or_none(statistics.standard_errors.get(index))
-    if error is None:
-        return None
-    reach = student_reach(statistics.degrees_of_freedom[index]) * error
-    value = float(statistics.values[index])
-    return max(value - reach, declaration.lower), min(value + reach, declaration.upper)
 
 
 def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, OwnEstimate]]:
@@ -294,12 +285,12 @@ def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, Own
             for name, column in zip(names, map(int, own), strict=True):
                 error = finite_or_none(statistics.standard_errors.get(column))
                 value = float(statistics.values[column])
-                said = _remark(state, statistics, column)
+                said = _remark(state, statistics, column, error)
                 estimates[member][name] = OwnEstimate(value, error, said)
     return estimates
 
 
-def _remark(state: FitState, statistics: Statistics, index: int) -> str:
+def _remark(state: FitState, statistics: Statistics, index: int, error: float | None) -> str:
     """What a reader must know before using the value of a free parameter; may be empty."""
     if not np.asarray(state.active)[index]:
         return "not determined: no channel responds to it; left at its start"
@@ -307,7 +298,6 @@ def _remark(state: FitState, statistics: Statistics, index: int) -> str:
         if index in group:
             others = ", ".join(statistics.labels[i] for i in group if i != index)
             return f"not determined alone: only a combination with {others} is"
-    error = finite_or_none(statistics.standard_errors.get(index))
     if error is None:
         return "not determined: no channel responds to it where it ended"
     if index in statistics.bounds:

@@ -338,13 +338,10 @@ def _warn_once_in_32_bit() -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Refit:
-    """How a fit ended that began from another one.
+    """How a fit ended that began from another one, and whether at an optimum of what was free.
 
-    Attributes:
-        state: the last one.
-        converged: whether it is at an optimum of what was free.
-        reason: as of `FitResult`; "iterations" where they were used up, "wall" where the model
-            cannot be evaluated at the start.
+    Its reason is as of `FitResult`; "iterations" where they were used up, "wall" where the model
+    cannot be evaluated at the start.
     """
 
     state: FitState

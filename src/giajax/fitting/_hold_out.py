@@ -43,7 +43,7 @@ from ..runtime.text import InputError
 from ._configuration import Setup, WarmStart, between, set_up
 from ._noise import TOLERANCE, prior_gram, residual_cells, series_of, shared_and_own
 from ._problem import predictions_by_run
-from ._records import HeldChannel, HeldOut
+from ._records import HeldChannel, HeldOut, recorded_noise
 from ._result import FitResult
 from ._steps import FitState, at_tolerance, begin, move, reweight, step
 from ._weights import Noise
@@ -56,12 +56,7 @@ Sizes = dict[tuple[int, str], float | None]
 
 @dataclasses.dataclass(frozen=True)
 class HoldOut:
-    """What is held out of the runs of a fit.
-
-    Attributes:
-        parts: of each run.
-        whole: the setup of the fit, were nothing held out.
-    """
+    """What is held out of each run of a fit, and its setup, were nothing held out."""
 
     parts: tuple[SplitRun, ...]
     whole: Setup
@@ -262,12 +257,7 @@ def _noise(result: FitResult, noise: Noise, parts: Sequence[SplitRun]) -> Noise:
     records = iter(result.runs)
     for part, keys in zip(parts, noise.keys, strict=True):
         for name, one in (next(records).channels if part.fitted else {}).items():
-            channel = part.whole.channels[name]
-            by_key[keys[name]] = ChannelNoise.of_cell(
-                float(channel.to_si(one.noise)),
-                float(channel.to_si(one.correlated)),
-                one.correlation_time_s,
-            )
+            by_key[keys[name]] = recorded_noise(part.whole.channels[name], one)
     return noise.with_values(by_key)
 
 
@@ -325,7 +315,7 @@ class PredictedChannel:
     Attributes:
         series: residuals of all of its cells, at the fitted values.
         cells: the same with their derivatives, those by what runs share in the same columns.
-        held: which of them were held out of the fit, shape (cell,).
+        held: which of them were held out of the fit.
     """
 
     series: Series
@@ -368,7 +358,6 @@ class Prediction:
     Attributes:
         statistic: chi-square that these cells have beyond what the fitted ones have, with the
             parameters where both together want them.
-        degrees_of_freedom: its degrees of freedom.
         noise_degrees_of_freedom: those of the noise that it is in units of.
     """
 
@@ -379,22 +368,17 @@ class Prediction:
     @property
     def size(self) -> float | None:
         """How many times as far off the cells are as they may; None without any freedom."""
-        return (
-            float(np.sqrt(self.statistic / self.degrees_of_freedom))
-            if self.degrees_of_freedom > 0
-            else None
-        )
+        if self.degrees_of_freedom <= 0:
+            return None
+        return float(np.sqrt(self.statistic / self.degrees_of_freedom))
 
     @property
     def p_value(self) -> float:
         """Chance of more where the model is right."""
         if self.degrees_of_freedom <= 0:
             return 1.0
-        return tail(
-            self.degrees_of_freedom,
-            self.noise_degrees_of_freedom,
-            self.statistic / self.degrees_of_freedom,
-        )
+        count, of_noise = self.degrees_of_freedom, self.noise_degrees_of_freedom
+        return tail(count, of_noise, self.statistic / count)
 
 
 class PredictionTest:
@@ -425,13 +409,8 @@ class PredictionTest:
 
     def of(self, run: int, channel: str) -> Prediction:
         """That of the held cells of a channel of one run."""
-        return self._of(
-            [
-                position
-                for position in self._members[run]
-                if self._channels[position].series.channel == channel
-            ]
-        )
+        members = self._members[run]
+        return self._of([i for i in members if self._channels[i].series.channel == channel])
 
     def reason(self) -> Reason | None:
         """What speaks against the model: all held cells, or those of one channel in all runs."""

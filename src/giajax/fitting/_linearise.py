@@ -347,7 +347,12 @@ def blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtSt
     # By numpy, as in the solver: each operation of JAX here would be a program of its own.
     blocks = tuple(
         np.zeros(
-            (len(g.members), g.observed.size // len(g.members), len(g.shared[0]) + g.width), dtype
+            (
+                len(g.members),
+                g.observed.size // len(g.members),
+                len(g.shared[0]) + sum(size for _, size in g.own),
+            ),
+            dtype,
         )
         for g in batches
     )

@@ -12,19 +12,14 @@ from ..runtime.text import InputError, time_in_words
 from ._checks import can_improve, with_finer_tolerance, with_suitable_tolerance
 from ._noise import reestimate
 from ._records import Iteration
-from ._steps import FitState, Reason, reweight, step, tolerance_of, trial
+from ._steps import FitState, Reason, reweight, step, trial
 from ._uncertainty import responds
 from ._weights import transform
 
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
-    """Wall time that a fit may take, all of its starts together.
-
-    Attributes:
-        seconds: how long, s.
-        began: when it began to run, by `time.monotonic`, s.
-    """
+    """Wall time that a fit may take, all of its starts together, from when it began to run, s."""
 
     seconds: float
     began: float = dataclasses.field(default_factory=lambda: time.monotonic())
@@ -338,7 +333,7 @@ def _next_round(state: FitState) -> FitState:
 def _settled(state: FitState) -> FitState:
     """The end at an optimum; one step more where a step would move it."""
     finer = with_suitable_tolerance(state)
-    if tolerance_of(finer) != tolerance_of(state):
+    if finer.tolerance != state.tolerance:
         # The optimum has followed it; where no step is left, the noise may have done so, too.
         finer = finer.recorded(accepted=True)
         return dataclasses.replace(finer, done=not can_improve(finer), converged=True)

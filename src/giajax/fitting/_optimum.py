@@ -22,7 +22,7 @@ from ._linearise import BlockJacobian
 from ._loop import with_active
 from ._noise import reestimate, residual_cells
 from ._problem import Recorded, predictions_by_run, with_recorded
-from ._records import RunFit
+from ._records import RunFit, recorded_noise
 from ._statistics import Statistics, statistics
 from ._steps import FitState, begin, evaluate, labels, move, reweight, step
 from ._uncertainty import dense_cells, prior_rows, responds, weighted_cells
@@ -224,16 +224,11 @@ def _evaluated(begun: FitState, noise: Noise) -> FitState:
 
 def _noise_of(noise: Noise, setup: Setup, records: Sequence[RunFit]) -> dict[str, ChannelNoise]:
     """The noise of each key, as the records of the runs have it."""
-    by_key = {}
-    for run, record, keys in zip(setup.runs, records, noise.keys, strict=True):
-        for name, key in keys.items():
-            stored, to_si = record.channels[name], run.channels[name].to_si
-            by_key[key] = ChannelNoise.of_cell(
-                float(to_si(stored.noise)),
-                float(to_si(stored.correlated)),
-                stored.correlation_time_s,
-            )
-    return by_key
+    return {
+        key: recorded_noise(run.channels[name], record.channels[name])
+        for run, record, keys in zip(setup.runs, records, noise.keys, strict=True)
+        for name, key in keys.items()
+    }
 
 
 # The normal equations of a fit where it ended, cell by cell: what each part of the data says.
@@ -248,9 +243,7 @@ _LOOSE = 0.01
 class Equations:
     """A x = -b, of the step x of some parameters that makes the cost least, to first order.
 
-    Attributes:
-        matrix: A, the curvature of the cost, shape (parameter, parameter).
-        gradient: b, of the cost, shape (parameter,).
+    The matrix A is the curvature of the cost, b its gradient.
     """
 
     matrix: Float[np.ndarray, "parameter parameter"]
@@ -280,7 +273,6 @@ class CellEquations:
         positions: of the parameters: those that respond and are at no bound.
         cells: of each channel, by the position of the run and its name, with their derivatives.
         rows: of all samples of a run, which were measured, likewise.
-        noise: of each key.
         loss: that is left where weights of cells do not stand for it.
         priors: what is known beforehand.
     """

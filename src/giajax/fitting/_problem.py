@@ -160,7 +160,6 @@ class RunBatch(eqx.Module):
         observed: recorded values, 0 where not measured.
         weight: 1 / standard deviation, 0 where not measured.
         whitening: of correlated noise; None where there can be none.
-        channels: names, in the order of the third axis of `observed`.
         members: positions of the runs in the list that was fitted.
         own: paths and sizes of the prepared inputs' parameters that are free in each run.
         first: position of the first of them in the free coordinate.

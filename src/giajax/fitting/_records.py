@@ -13,7 +13,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ..models import AbstractModel
-from ..recordings import Run
+from ..noise import ChannelNoise
+from ..recordings import Channel, Run
 from ..runtime.records import Numbers
 from ..runtime.text import InputError, format_bounds, format_estimate, wrapped
 from ..schema.parameters import declared, replace
@@ -284,14 +285,16 @@ def estimate_table(estimates: Mapping[str, Estimate], width: int | None = None) 
     """
     headings = _Row(*_Row._fields)
     rows = _rows(estimates)
-    sizes = {name: max(len(getattr(row, name)) for row in (headings, *rows)) for name in _short()}
-    before = sum(sizes.values()) + 2 * len(sizes)
+    sizes = [max(map(len, column)) for column in zip(headings, *rows, strict=True)][:-1]
+    before = sum(sizes) + 2 * len(sizes)
     longest = max(len(row.remark) for row in (headings, *rows))
     below = width is not None and width - before < min(longest, _LEAST_REMARK)
     lines: list[str] = []
     for row in (headings._replace(remark="") if below else headings, *rows):
-        cells = [_aligned(name, getattr(row, name), size) for name, size in sizes.items()]
-        start = "  ".join(cells)
+        cells = zip(_Row._fields, row, sizes, strict=False)
+        start = "  ".join(
+            cell.rjust(size) if name in _NUMBERS else cell.ljust(size) for name, cell, size in cells
+        )
         if below:
             lines += [start.rstrip(), *wrapped(row.remark, width, "    ", "    ")]
         else:
@@ -307,15 +310,6 @@ def estimate_html(estimates: Mapping[str, Estimate]) -> str:
         for row in _rows(estimates)
     )
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def _short() -> tuple[str, ...]:
-    """The columns beside that of the remarks."""
-    return _Row._fields[:-1]
-
-
-def _aligned(name: str, cell: str, size: int) -> str:
-    return cell.rjust(size) if name in _NUMBERS else cell.ljust(size)
 
 
 def _rows(estimates: Mapping[str, Estimate]) -> list[_Row]:
@@ -361,6 +355,12 @@ class ChannelFit:
     correlated: float = 0.0
     correlation_time_s: float = 0.0
     innovation: float | None = None
+
+
+def recorded_noise(channel: Channel, record: ChannelFit) -> ChannelNoise:
+    """The noise that a result says a channel was weighted with, SI."""
+    noise, correlated = channel.to_si([record.noise, record.correlated]).tolist()
+    return ChannelNoise.of_cell(noise, correlated, record.correlation_time_s)
 
 
 @dataclasses.dataclass(frozen=True)

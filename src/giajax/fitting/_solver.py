@@ -26,20 +26,17 @@ Linearised = tuple[Array, Any, Array, Array, Any]
 
 
 class MarquardtState(eqx.Module):
-    """State between two steps.
+    """State between two steps; `residual`, `jacobian` and the like are those of the accepted point.
 
     Attributes:
-        residual: at the accepted point.
-        jacobian: there; whatever `linearise` gives.
+        jacobian: whatever `linearise` gives.
         factor, projected: R and Q^T r of the Jacobian's QR factorisation.
         cost: half the squared norm of the residual; infinite before the first evaluation.
         scale: largest norm of each column so far, which scales the damping.
         damping: Marquardt's lambda; `growth` is what the next rejection multiplies it by.
         step: last accepted or rejected step.
-        accepted: whether the last step was accepted.
         detour: the step to try next in place of a shorter one; 0 where there is none.
-        finite: whether everything was finite where it led to.
-        aux: auxiliary output at the accepted point.
+        finite: whether everything was finite where the last step led to.
         evaluations: how often value and Jacobian were computed.
     """
 

@@ -222,13 +222,7 @@ _SOUND = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class Combination:
-    """What is determined of some parameters.
-
-    Attributes:
-        text: such as `joints.damping / links.mass`.
-        members: positions of its parameters.
-        value, standard_error: SI.
-    """
+    """What is determined of some parameters, such as `joints.damping / links.mass`."""
 
     text: str
     members: tuple[int, ...]

@@ -80,26 +80,18 @@ _NOISE_ROUNDS = 3
 
 @dataclasses.dataclass(frozen=True)
 class FitState:
-    """One fit between two steps of its loop.
+    """One fit between two steps of its loop; arrays are of the free coordinates.
 
     Attributes:
-        setup: what is fitted to what.
-        problem: what is minimised, with the noise in use.
-        noise: the noise in use, and where it comes from.
-        start: start values of the free parameters, those of single runs last, shape (parameter,).
+        start: values of the free parameters, those of single runs last, which what is held keeps.
         sizes: their typical sizes, for judging whether anything responds to them.
-        solver: of the least-squares problem.
-        coordinate: the best point so far, shape (parameter,).
-        inner: the solver's own state there.
-        active: parameters that may move, shape (parameter,).
+        coordinate: the best point so far; `inner` is the solver's own state there.
+        active: which may move.
         finer: what a finer tolerance of the integrator changes of the residuals there; None where
             nobody has asked.
-        done: whether the solver wants no further step.
-        converged: whether it stopped at an optimum.
-        trials: steps that were tried.
+        done: whether the solver wants no further step; `converged`, whether it is at an optimum.
         rounds_left: how often the noise may still be estimated anew.
         round_began: how long the history was when noise or tolerance last changed.
-        history: the start and each trial.
         step_seconds: wall time of each evaluation; the first one compiles.
         ending: how the fit ended, one sentence about it, and the word of `FitResult.reason`; None
             while it goes on.
@@ -150,6 +142,12 @@ class FitState:
             path: float(np.mean(values[list(places)]))
             for path, places in zip(problem.paths, problem.positions, strict=True)
         }
+
+    @functools.cached_property
+    def tolerance(self) -> float | None:
+        """The tolerance in use; None of a model without an integrator."""
+        integration = capabilities.integration(self.problem.model)
+        return None if integration is None else integration.tolerance
 
     @functools.cached_property
     def jacobian(self) -> BlockJacobian:
@@ -337,19 +335,13 @@ def reweight(state: FitState, noise: Noise) -> FitState:
 
 def at_tolerance(state: FitState, tolerance: float | None) -> FitState:
     """Go on from the same point with another tolerance, if any; not evaluated yet."""
-    if tolerance == tolerance_of(state):
+    if tolerance == state.tolerance:
         return state
     model = capabilities.with_integration(state.problem.model, solver=None, tolerance=tolerance)
     problem = dataclasses.replace(state.problem, model=model)
     # Costs before it say nothing of those to come.
     state = dataclasses.replace(state, problem=problem, round_began=len(state.history))
     return move(state, state.coordinate)
-
-
-def tolerance_of(state: FitState) -> float | None:
-    """The tolerance in use; None of a model without an integrator."""
-    integration = capabilities.integration(state.problem.model)
-    return None if integration is None else integration.tolerance
 
 
 def evaluate(
@@ -410,10 +402,8 @@ class KeptState:
     """A state of a fit as a line of its journal has it; attributes of `FitState` where not said.
 
     Attributes:
-        trials, done, converged, rounds_left, round_began, ending: of the state.
-        cost, coordinate, active: likewise; the cost shows whether this machine computes the same.
+        cost: shows whether this machine computes the same.
         solver: numbers of the solver by name, those of `_SOLVER`.
-        noise: what the fit weights with.
         tolerance: of the integration; None of a model without one, and of an earlier version.
         history, step_seconds: what has come since the line before.
         seconds: that the fit has taken.
@@ -437,11 +427,7 @@ class KeptState:
 
 
 class FitJournal(Protocol):
-    """Where a fit writes what it has reached, and finds what it reached before.
-
-    Attributes:
-        lines: those of this fit so far, oldest first.
-    """
+    """Where a fit writes what it has reached, and finds the lines of before, oldest first."""
 
     @property
     def lines(self) -> Sequence[Mapping[str, Any]]: ...
@@ -513,7 +499,7 @@ def journal_writer(state: FitState, journal: FitJournal, elapsed: Callable[[], f
             rounds_left=reached.rounds_left,
             round_began=reached.round_began,
             noise=reached.noise.kept(),
-            tolerance=tolerance_of(reached),
+            tolerance=reached.tolerance,
             history=reached.history[shown:],
             step_seconds=reached.step_seconds[stepped:],
             seconds=elapsed(),

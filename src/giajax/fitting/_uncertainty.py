@@ -66,10 +66,9 @@ class Uncertainty(NamedTuple):
     """Covariance of the parameters and what scaled it.
 
     Attributes:
-        covariance: shape (parameter, parameter).
         scale: factor on the covariance, 1 unless the residuals exceed the stated noise.
-        as_stated: the covariance were the noise as it is stated, of the same shape.
-        bread: inverse of the second derivative of the cost, as Gauss and Newton have it, likewise.
+        as_stated: the covariance were the noise as it is stated.
+        bread: inverse of the second derivative of the cost, as Gauss and Newton have it.
     """
 
     covariance: np.ndarray
@@ -159,12 +158,10 @@ def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
 
 
 def inverse_gram(jacobian: np.ndarray) -> np.ndarray:
-    """(J^T J)^-1 through QR with scaled columns, which does not square the condition.
+    """(J^T J)^-1 of a matrix J, or its R, by QR with scaled columns: the condition is not squared.
 
-    A matrix R of the same R^T R will do for J.
-
-    Directions that leave the residuals unchanged are left out: what takes no part in them keeps
-    its own variance, and the others have none that means anything.
+    Directions that leave the residuals unchanged are left out: what takes no part in them keeps its
+    own variance, and the others have none that means anything.
     """
     if jacobian.shape[1] == 0:
         return np.zeros((0, 0))
@@ -187,7 +184,7 @@ class NoiseStatistics(NamedTuple):
 
     Attributes:
         covariance: with what the errors of the noise add.
-        degrees_of_freedom: of Student's t, shape (parameter,).
+        degrees_of_freedom: of Student's t.
         sandwich: standard errors that hold whatever the noise model leaves out.
         widening: standard errors over those of white noise of the same size.
     """

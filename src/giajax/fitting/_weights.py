@@ -248,10 +248,9 @@ def curvature_ratio(
 class Whitening(eqx.Module):
     """The gains of a run, or of several along a first axis, for residuals over their deviation.
 
-    Attributes:
-        keep, gain: of the correlated part and of the cell, what goes on to the next sample.
-        scale: deviation of a cell over that of what the cells before it do not foretell; 0 where
-            a cell is not measured.
+    `keep` and `gain` are what of the correlated part and of the cell goes on to the next sample;
+    `scale` the deviation of a cell over that of what the cells before it do not foretell; 0 where a
+    cell is not measured.
     """
 
     keep: Float[Array, "*run sample channel"]
@@ -327,13 +326,9 @@ Rows = Float[Array, " prior"]
 class Priors(eqx.Module):
     """What is known of some free coordinates before the fit, a row of the residual each.
 
-    A row is (p - centre) / spread, of the parameter p or of its logarithm. It is not whitened,
-    no loss transforms it, and no noise is estimated from it.
-
-    Attributes:
-        centre, spread: mean and standard deviation, of the parameter or its logarithm.
-        columns: positions of the parameters in the free coordinate.
-        logarithmic: whether the logarithm of each is normal.
+    A row is (p - centre) / spread, of the parameter p or, where it is `logarithmic`, of its
+    logarithm. It is not whitened, no loss transforms it, and no noise is estimated from it. The
+    columns are positions in the free coordinate.
     """
 
     centre: Rows
@@ -343,7 +338,7 @@ class Priors(eqx.Module):
 
     @classmethod
     def of(cls, priors: Mapping[str, Prior], paths: Sequence[str]) -> Self:
-        """The rows of some priors."""
+        """The rows of some priors, for the paths at the positions of the free coordinate."""
         known = [prior_of(priors, path) for path in paths]
         rows = [(column, prior) for column, prior in enumerate(known) if prior is not None]
         dtype = jnp.result_type(float)
