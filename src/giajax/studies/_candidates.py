@@ -26,10 +26,7 @@ _NOTICED = 0.05
 
 
 def is_disturbed(result: FitResult, runs: Sequence[Run], at: Sequence[Response]) -> bool:
-    """Whether responses with all parts on, at neutral values, are not those of the fit.
-
-    By the residuals that it had.
-    """
+    """Whether residuals with all parts on, at neutral values, are not those that the fit had."""
     for run, record, response in zip(runs, result.runs, at, strict=True):
         rest = response.predicted - response.observed
         for place, name in enumerate(response.channels):
@@ -108,7 +105,6 @@ class Inquiry:
     """A model with all parts on that it leaves out, and what may be asked of it.
 
     Attributes:
-        model: what was left out has its neutral value.
         free: directions of the parameters that were fitted, in their order.
         candidates: all others, apart from what follows from others.
         impossible: what cannot be switched on in this model, with the reason, by path.

@@ -17,12 +17,7 @@ from ..schema.parameters import default_free
 
 @dataclasses.dataclass(frozen=True)
 class CandidateModel:
-    """A model that may be chosen.
-
-    Attributes:
-        section: what of `[hysteresis]` makes it.
-        free: paths of the parameters to fit beside those that a fit frees by itself.
-    """
+    """A model that may be chosen: what of `[hysteresis]` makes it, and what to free in it, too."""
 
     section: Mapping[str, Any]
     free: tuple[str, ...] = ()
@@ -132,9 +127,6 @@ def compare(
 
     Returns:
         One for each channel of each run, and of several runs for each channel of all together.
-
-    Raises:
-        InputError: as `giajax.predict` and `giajax.fit`.
     """
     comparisons = []
     for run in runs:
@@ -259,8 +251,7 @@ def choose_hysteresis(
         progress: called with each name before it is fitted.
 
     Raises:
-        InputError: an unknown name or none, a fraction that leaves nothing to fit or to judge by,
-            or no hysteresis run.
+        InputError: an unknown name or none, a fraction that leaves too little, or other runs.
     """
     names = list(CANDIDATES) if candidates is None else list(candidates)
     unknown = [name for name in names if name not in CANDIDATES]

@@ -101,7 +101,6 @@ class Part:
     Attributes:
         kind: "run"; "marker": all coordinates of a point in all runs; "channel", in all runs; or
             "span": a stretch of one run.
-        name: of it.
         runs: positions of the runs that have a part of it.
         channels: names of its channels; None for all.
         rows: its first sample and the one after its last; None for all.
@@ -230,8 +229,7 @@ def influence(
         how: who does the tasks of 16 fits, as of `giajax.runtime.execution.Execution`.
 
     Raises:
-        InputError: other runs than those of the result, a fit that has not converged, or a number
-            of spans that is none.
+        InputError: other runs than those of the result, no converged fit, or no number of spans.
 
     Example:
         >>> found = giajax.influence(result, runs)  # doctest: +SKIP

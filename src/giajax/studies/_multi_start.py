@@ -149,10 +149,8 @@ def multi_start(
         folder: of a file for each of these tasks, by which the same call goes on.
 
     Returns:
-        The best result, so far after Ctrl-C; `result.starts` has where each start ended.
-
-    Raises:
-        InputError: as `giajax.fit`; of the starts, the first one must be evaluable.
+        The best result, so far after Ctrl-C; `result.starts` has where each start ended. The first
+        one must be evaluable.
     """
     settings = fit_settings(keywords, settings=settings)
     if "starts" not in settings.model_fields_set:
@@ -182,12 +180,8 @@ def solve_from_starts(
 ) -> FitResult:
     """Fit what `giajax.fitting.set_up` resolved from several starts; else as `multi_start`.
 
-    Arguments:
-        journal: the journal of each fit, by its number: the starts from 1, then the one that
-            checks the result. A start that has ended there is evaluated where it ended.
-
-    Raises:
-        InputError: the first start cannot be evaluated, or `before` is of another fit.
+    The journal is that of each fit, by its number: the starts from 1, then the one that checks the
+    result. A start that has ended there is evaluated where it ended.
     """
     setup, settings = setup.at_start(), setup.settings
     starts, values = settings.starts, start_values(setup)

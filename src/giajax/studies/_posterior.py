@@ -39,13 +39,10 @@ _listener: contextvars.ContextVar[Callable[[int], None] | None] = contextvars.Co
 
 @dataclasses.dataclass(frozen=True)
 class Begun:
-    """Where a chain begins.
+    """Where a chain begins, in the sampler's coordinate, shape (drawn,).
 
-    Attributes:
-        density: of the fit.
-        start: in the sampler's coordinate, shape (drawn,).
-        energy, gradient: what the density is there, which spares a second program.
-        task_key: of the fit that all of it follows from, by which a task is known.
+    What the density is there spares a second program. The key is that of the fit that all of it
+    follows from, by which a task is known.
     """
 
     density: Density

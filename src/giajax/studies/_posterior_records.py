@@ -228,27 +228,23 @@ def doubts(
     if chains < asked:
         why = f" ({failed[0]})" if failed else ""
         sentences.append(f"{asked - chains} of {asked} chains were not drawn{why}: run it again")
-    stuck = [label for label, one in marginals.items() if one.r_hat is None]
-    if stuck:
+    known = {label: one for label, one in marginals.items() if one.r_hat is not None}
+    if stuck := [label for label in marginals if label not in known]:
         sentences.append(
             f"the chains are stuck: the draws of {' and '.join(stuck)} in a chain are all equal; "
             "take a longer warm-up, and if that does not help give priors or bounds that keep away "
             "from where the model fails"
         )
-    hats = {label: one.r_hat for label, one in marginals.items() if one.r_hat is not None}
-    worst = max(hats, key=lambda label: hats[label], default=None)
-    if worst is not None and hats[worst] > MOST_R_HAT:
+    hats = {label: one.r_hat or 0.0 for label, one in known.items()}
+    worst = max(hats, key=lambda label: hats[label], default="")
+    if worst and hats[worst] > MOST_R_HAT:
         sentences.append(
             f"the chains have not found together: R-hat of {worst} is {hats[worst]:.3f}, above "
             f"{MOST_R_HAT:g}; take more draws and a longer warm-up"
         )
-    sizes = {
-        label: min(one.ess_bulk or 0.0, one.ess_tail or 0.0)
-        for label, one in marginals.items()
-        if one.r_hat is not None
-    }
-    least = min(sizes, key=lambda label: sizes[label], default=None)
-    if least is not None and sizes[least] < LEAST_ESS:
+    sizes = {name: min(one.ess_bulk or 0.0, one.ess_tail or 0.0) for name, one in known.items()}
+    least = min(sizes, key=lambda label: sizes[label], default="")
+    if least and sizes[least] < LEAST_ESS:
         sentences.append(
             f"the draws of {least} are worth {sizes[least]:.0f} independent ones, and the ends of "
             f"an interval take {LEAST_ESS}: take more draws"
@@ -392,9 +388,8 @@ def bands(
 ) -> tuple[dict[str, Band], ...]:
     """Where each channel of each run is predicted to be, by the programs of the fit.
 
-    The noise of the result is widened as its standard errors are, where the residuals exceed it. Of
-    draws, shape (draw, parameter), `DRAWS` are predicted; those at which the model fails are left
-    out.
+    The noise of the result is widened as its standard errors are. Of draws, shape (draw,
+    parameter), `DRAWS` are predicted; those at which the model fails are left out.
     """
     chosen = np.unique(np.linspace(0, len(draws) - 1, DRAWS).round().astype(int))
     points = (optimum.at(draws[index]) for index in chosen)

@@ -177,13 +177,8 @@ def one_side(fitted: Fitted, name: str, side: int, level: float) -> dict[str, An
     profiled = profiled_of(fitted.result, optimum, name)
     found = walked(optimum, profiled, side, profiled.reach(level))
     points = [
-        ProfilePoint(
-            value=point.at,
-            deviance=float(np.sign(point.root) * point.root**2),
-            values=_shared(optimum, point.fit.values),
-            at_bounds=_at_bounds(optimum, point.fit.values, name),
-        )
-        for point in found.points
+        _point(optimum, one.at, float(np.sign(one.root) * one.root**2), one.fit.values, name)
+        for one in found.points
     ]
     return {"points": points, "ended": found.ended, "reason": found.reason}
 
@@ -192,13 +187,8 @@ def combined(
     optimum: Optimum, profiled: Profiled, level: float, pair: tuple[Outcome, Outcome]
 ) -> Profile:
     """The profile of a quantity, from what came of its two sides, by `SIDES`."""
-    centre = ProfilePoint(
-        profiled.value,
-        0.0,
-        _shared(optimum, optimum.values),
-        _at_bounds(optimum, optimum.values, profiled.name),
-    )
-    points, ended, reasons = [centre], [], []
+    points = [_point(optimum, profiled.value, 0.0, optimum.values, profiled.name)]
+    ended, reasons = [], []
     for outcome in pair:
         found: Mapping[str, Any] = outcome.value or {}
         points += [
@@ -243,16 +233,16 @@ def _best_at_each(points: Sequence[ProfilePoint]) -> list[ProfilePoint]:
     return [best[value] for value in sorted(best)]
 
 
-def _shared(optimum: Optimum, values: np.ndarray) -> tuple[float, ...]:
-    return tuple(map(float, values[: optimum.state.problem.shared]))
-
-
-def _at_bounds(optimum: Optimum, values: np.ndarray, name: str) -> tuple[str, ...]:
-    """The parameters that are at a bound, apart from the one of this name."""
+def _point(
+    optimum: Optimum, at: float, deviance: float, values: np.ndarray, name: str
+) -> ProfilePoint:
+    """With the parameters that are at a bound, apart from the one of this name."""
     lower, upper = optimum.bounds
     near = _AT_BOUND * np.asarray(optimum.state.sizes)
-    there = (values - lower <= near) | (upper - values <= near)
-    return tuple(optimum.labels[i] for i in np.flatnonzero(there) if optimum.labels[i] != name)
+    there = np.flatnonzero((values - lower <= near) | (upper - values <= near))
+    names = tuple(optimum.labels[i] for i in there if optimum.labels[i] != name)
+    shared = tuple(map(float, values[: optimum.state.problem.shared]))
+    return ProfilePoint(at, deviance, shared, names)
 
 
 LEVEL = 0.95
@@ -284,8 +274,7 @@ def profile(
             Ctrl-C, those that were not done are "stopped".
 
     Raises:
-        InputError: a path that was not free, a level that is none, a fit that did not converge, or
-            other runs than those of the result.
+        InputError: a path that was not free, no level, no converged fit, or other runs than its.
 
     Example:
         >>> profiles = giajax.profile(result, run, ["air.drag_coefficient"])  # doctest: +SKIP

@@ -201,8 +201,6 @@ class Profiled:
 
     Attributes:
         name: label of a free parameter, or name of a derived quantity.
-        unit: SI unit.
-        value: at the optimum.
         error: standard error; None if it has none.
         freedom: degrees of freedom of Student's t for its interval.
         factor: deviance of the cost over that which is meant: a parabola of the cost is one of
@@ -211,7 +209,6 @@ class Profiled:
         lower, upper: bounds, infinite where there is none.
         size: of the first step.
         position: of the free parameter; None for a derived quantity.
-        quantity: of the free parameters.
         fixed: whether nothing of the data responds to it.
     """
 

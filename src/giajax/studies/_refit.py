@@ -178,12 +178,7 @@ def _inside(parameter: Parameter, value: float, bounds: Mapping[str, Sequence[fl
 
 @dataclasses.dataclass(frozen=True)
 class Fitted:
-    """A result with its runs, which any process can take up.
-
-    Attributes:
-        result: without predictions.
-        runs: that it was fitted to, in their order.
-    """
+    """A result, without predictions, with its runs, in their order: any process can take it up."""
 
     result: FitResult
     runs: tuple[Run, ...]
@@ -215,12 +210,8 @@ class Fitted:
         """What comes of calls of a function with this fit, which any worker can make.
 
         This is what all studies of a fit are: their settings decide the calls, and what the calls
-        return becomes their record. Seeds follow from functions and arguments.
-
-        Arguments:
-            function: at the top of a module; its first argument is `fitted`.
-            each: the other arguments, of each task, in the order of the outcomes.
-            how: as of `Execution`.
+        return becomes their record. Seeds follow from functions and arguments. The function is at
+        the top of a module, and its first argument is `fitted`; `each` are the others.
         """
         tasks = [Task(function, {"fitted": self, **arguments}) for arguments in each]
         return run_tasks(tasks, **how)

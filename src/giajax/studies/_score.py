@@ -4,8 +4,6 @@ With the weighted residuals r of a fit, its Jacobian J and the column z of what 
 z_perp = z - J (J^+ z) is what the fitted parameters cannot imitate. A step of
 -z_perp.r / z_perp.z_perp along it lowers the sum of squares by (z_perp.r)^2 / z_perp.z_perp
 (Rao's score test; Cook & Weisberg 1982, sec. 2.2). At a bound the step ends there.
-
-Plain numpy; nothing here knows of models.
 """
 
 import dataclasses
@@ -211,15 +209,13 @@ class Projected:
     """Residuals and tested columns without what the fit can imitate.
 
     Attributes:
-        residual: shape (row,), a cell each, run by run, and the priors.
-        columns: shape (row, test).
+        residual: shape (row,), a cell each, run by run, and the priors; of columns, (row, test).
         norms: of the columns before the projection, shape (test,).
         parameters: number of fitted ones, those of single runs included.
         lost: degrees of freedom that they take from the measured values: their number, less what
             their priors know of them.
         series: of each run and channel: positions of its cells in the row of values, -1 where
             nothing was measured; one that is not timed has only those that were.
-        timed: of each series.
         known: positions of the rows that are priors.
     """
 
@@ -423,8 +419,7 @@ class Score:
     """The test of one column, or of several together.
 
     Attributes:
-        step: from the held value, within its bounds, shape (column,).
-        error: standard error of the step, with the noise that it leaves, shape (column,).
+        step: from the held value, within its bounds, shape (column,), as is its standard error.
         drop: of the sum of squares.
         p_value: not corrected for how many tests there are.
     """

@@ -167,11 +167,7 @@ _NO_TIME = "the budget of the fit ended this start"
 
 @dataclasses.dataclass(frozen=True)
 class Asked:
-    """What all starts of a fit have in common, which any process can take up.
-
-    Attributes:
-        model, runs, own, config, suited: as of a `Setup`, which itself cannot be pickled.
-    """
+    """What all starts of a fit have in common: of a `Setup`, which cannot be pickled itself."""
 
     model: AbstractModel
     runs: tuple[Run, ...]

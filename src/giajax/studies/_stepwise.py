@@ -97,13 +97,8 @@ class Measured:
     makes of each residual over its noise, which must be that of all fits that are compared: what
     each fit would take for noise, or for an outlier, is larger where it describes less.
 
-    Attributes:
-        suspect, removed: as of a `Step`.
-        result: the fit.
-        at: what it predicts for each run.
-        noise: white noise, as stated or as this fit's residuals show it.
-        coordinates: its coordinates, and what was known of them.
-        apart: of each channel that was held out: its name, the noise that is stated, the errors.
+    It has what the fit predicts for each run (`at`), white noise as stated or as its residuals show
+    it, and of each channel that was held out (`apart`) the name, the noise stated, and the errors.
     """
 
     suspect: Suspect | None

@@ -390,8 +390,7 @@ def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str
             together; by default all of them change in proportion.
 
     Raises:
-        InputError: other runs than those of the result, a path in `each` that is no array, or a
-            fitted model that cannot be evaluated.
+        InputError: other runs, no array in `each`, or a model that cannot be evaluated there.
 
     Example:
         >>> result = giajax.load_result("giajax-out/base_step")  # doctest: +SKIP

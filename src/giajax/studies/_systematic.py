@@ -130,10 +130,6 @@ def systematic_errors(
     Returns:
         Those that were stated, then what 1 % of each other held number that is not zero does, the
         largest shift in standard errors first; what moves nothing is left out.
-
-    Raises:
-        InputError: other runs, an unknown path, one that was fitted, or an uncertainty that is
-            not positive.
     """
     several = matching_runs(result.runs, runs)
     if uncertainty is None:

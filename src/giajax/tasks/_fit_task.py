@@ -108,10 +108,7 @@ def with_warm_start(
     Arguments:
         task: what to fit to what.
         watch: from the fit in windows to what is called after each of its steps.
-        told: called with its result.
-
-    Raises:
-        KeyboardInterrupt: also where the fit in windows has something to show for itself.
+        told: called with its result, unless Ctrl-C came: no fit of whole runs follows then.
     """
     settings = task.definition.fit
     if settings.windows_first_s is None or task.begin is not None:
@@ -194,15 +191,12 @@ class FitTask:
 
     @classmethod
     def again(cls, path: str | Path) -> Self:
-        """The task of a result: the same data, settings and starts, and so the same numbers.
+        """The task of a result, by its file or folder: the same data, settings, starts and numbers.
 
         On the same machine and with the same versions they are the same bit for bit. It goes
         beside the other one, into NAME-again. With more `starts` on top only those are fitted. As
         long as no setting is changed, `prepare` refuses what has become of them in another version
         of giajax.
-
-        Arguments:
-            path: a `result.json`, or its folder.
 
         Raises:
             InputError: no such result, one that was stopped when its time was up, or a file that
@@ -352,8 +346,7 @@ class FitTask:
             The result, the best so far after Ctrl-C; `giajax.write_result` writes it.
 
         Raises:
-            InputError: as `prepare`, a start from which the model cannot be evaluated, or a
-                journal of another fit.
+            InputError: as `prepare`, a start that cannot be evaluated, or another fit's journal.
         """
         ready = self.prepare()
         if journal is None:

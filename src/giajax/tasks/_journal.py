@@ -171,9 +171,6 @@ def locked(folder: Path) -> Iterator[None]:
 
     The system gives the lock back when the process ends, however it does; the file that a killed
     process leaves is no lock, and is taken over.
-
-    Raises:
-        InputError: another process holds it, or it cannot be made or written.
     """
     check_output_folder(folder)
     made = [path for path in (folder, *folder.parents) if not path.exists()]
@@ -245,13 +242,8 @@ class Journal:
     """The journal of a fit, which may have several starts.
 
     A line that cannot be written (the disk is full) does not end the fit: it is written with the
-    next one, if there is room again. `complain` is called with a sentence then, once.
-
-    Arguments:
-        path: of the file.
-        head: its first line.
-        lines: those that it holds after that.
-        size: of the file up to the end of its last whole line, bytes; 0 where there is none yet.
+    next one, if there is room again. `complain` is called with a sentence then, once. The size is
+    that up to the end of the last whole line, bytes; 0 where there is none yet.
     """
 
     def __init__(
@@ -370,11 +362,7 @@ class Part:
 
 
 def read_journal(folder: Path, complain: Callable[[str], None] = lambda _: None) -> Journal | None:
-    """The journal in a folder; None where there is none, or none that holds a state of a fit.
-
-    Raises:
-        InputError: it cannot be read, or was written by another version of giajax.
-    """
+    """The journal in a folder; None where there is none, or none that holds a state of a fit."""
     path = folder / JOURNAL
     try:
         data = read_bytes(path, JOURNAL_BYTES)

@@ -256,22 +256,18 @@ class Plan:
     ) -> Self:
         """The plan that plain data state.
 
-        Arguments:
-            data: as `tomllib` reads a file of it; see `docs/sweep.md`.
-            folder: where the paths in it begin.
-            source: what errors call it.
+        Data are as `tomllib` reads a file (`docs/sweep.md`), whose paths begin at a folder.
 
         Raises:
             InputError: a key or a value that it may not have, or too many fits.
         """
         check_size(data, source)
         folder = Path(folder)
-        for name in data:
-            if name not in _KEYS:
-                raise InputError(
-                    f"{source}: unknown key {shown(name)}: correct or remove it (known here: "
-                    f"{', '.join(_KEYS)})"
-                )
+        if unknown := [name for name in data if name not in _KEYS]:
+            raise InputError(
+                f"{source}: unknown key {shown(unknown[0])}: correct or remove it (known here: "
+                f"{', '.join(_KEYS)})"
+            )
         if data.get("schema_version", 1) != 1:
             raise InputError(f"{source}: schema_version must be 1: correct it")
         if ("fit" in data) == ("data" in data):

@@ -46,7 +46,6 @@ class Preparation:
     """What `FitTask.prepare` returns: all that a fit needs, before anything is evaluated.
 
     Attributes:
-        definition: all settings.
         setup: the model, the runs to fit, and what is free.
         validation: runs that the result must predict.
         record: the task as plain data, which the result keeps.

@@ -28,11 +28,7 @@ _WORDS = {"definition": "the model's constants", "runs": "what the sidecars stat
 
 
 def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
-    """As `stored_result`, of a fit that can be done again.
-
-    Raises:
-        InputError: it does not say how it was fitted, or ended when its time was up.
-    """
+    """As `stored_result`, of a fit that says how it was fitted, and did not end early."""
     folder, record = stored_result(path)
     if not record.get("task"):
         raise InputError(
@@ -140,8 +136,7 @@ def fitted_runs(
         rename: the files' column name -> the name it has in the column table.
 
     Raises:
-        InputError: a file is missing, or is not the one that was fitted; or a run was made in
-            memory.
+        InputError: a file is missing or another one; or a run was made in memory.
     """
     parts = _read_again(result, result.runs, "runs", data, rename)
     return [run for part in parts if (run := part.fitted) is not None]
@@ -150,10 +145,7 @@ def fitted_runs(
 def held_out_runs(
     result: "FitResult", data: Sequence[str | Path] = (), *, rename: Mapping[str, str] | None = None
 ) -> list[Run]:
-    """What was held out of a fit: the runs of `result.held_out`, in which only these cells are.
-
-    Arguments and errors are those of `fitted_runs`.
-    """
+    """What was held out of a fit, as `fitted_runs`: of `result.held_out`, these cells alone."""
     parts = _read_again(result, result.held_out, "hold_out", data, rename)
     return [run for part in parts if (run := part.held) is not None]
 

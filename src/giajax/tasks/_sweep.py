@@ -91,12 +91,8 @@ def fitted(
 ) -> dict[str, Any]:
     """A task: a fit without the checks that end a single one: gradient, tolerance and suspects.
 
-    Arguments:
-        definition: all settings, as `Definition.contents` has them.
-        inputs: name of each file of `data` and `validation` with the SHA-256 of its content and of
-            its sidecar, which is None where there is none.
-        rename, begin: as of `FitTask`.
-        paths: where the files are, in the same order.
+    The inputs are the name of each file of `data` and `validation` with the SHA-256 of its content
+    and of its sidecar, None where there is none; their paths have the same order.
     """
     check_precision()
     for part, files in inputs.items():
@@ -183,8 +179,7 @@ def sweep(
         plan: the file of a plan (`docs/sweep.md`), the content of one, or a `Plan`.
         out: folder for `sweep.parquet` and the fits; by default what the plan says, else
             `giajax-out/` and its name.
-        executor: any of `concurrent.futures`; see `giajax.runtime.execution.open_executor`.
-        progress: as of `giajax.runtime.execution.run_tasks`.
+        executor, progress: as of `giajax.runtime.execution.run_tasks`.
         force: write over the table of another plan.
 
     Returns:
