@@ -177,11 +177,11 @@ def test_a_channel_is_two_files(tree, giajax):
     assert "wire_tension_N" in (tree / "wire" / "prediction.csv").read_text(encoding="utf-8")
 
 
-def test_a_command_is_two_files(tree, giajax):
+def test_a_command_is_a_file(tree, giajax):
     text = section("To add a command")
     new, edited = done_to(tree, text)
     assert new == ["src/giajax/cli/_columns.py"]
-    assert edited == ["src/giajax/cli/_app.py"]
+    assert edited == []
     check_style(tree, [*new, *edited])
     (columns,) = printed(giajax, text)
     assert re.search(r"^linkNN_x +arm +output +length$", columns, re.MULTILINE)

@@ -36,7 +36,7 @@ def test_bounds_ties_and_groups():
         (words.priors, ["a=1.1+-"], "must be PATH=VALUE"),
         (words.priors, ["a=1_0+-2"], "must be PATH=VALUE"),
         (words.priors, ["a=1e999+-2"], "must be PATH=VALUE"),
-        (words.priors, ["1.1+-2"], r"--prior '1.1\+-2' must be PATH=..., with both: write it like"),
+        (words.priors, ["1.1+-2"], r"--prior '1.1\+-2' must be PATH=VALUE\+-DEVIATION, or"),
         (words.priors, ["a=1+-0"], r"is not right, because the prior has the deviation 0: give"),
         (words.priors, ["a=1x/0.5"], "the factor 0.5: give a number above 1"),
         (words.priors, ["a=1+-1", "a=1x/2"], "--prior gives a twice: remove one"),
@@ -44,9 +44,9 @@ def test_bounds_ties_and_groups():
         (words.bounds, ["a=1,2,3"], "must be PATH=LOW,HIGH"),
         (words.bounds, ["a=1,x"], "must be PATH=LOW,HIGH"),
         (words.bounds, ["a=1,2", "a=1,2"], "--bounds gives a twice: remove one"),
-        (words.ties, ["a"], "--tie 'a' must be PATH=..., with both: write it like"),
+        (words.ties, ["a"], "--tie 'a' must be PATH=EXPRESSION: write it like"),
         (words.ties, ["a=b", "a=c"], "--tie gives a twice: remove one"),
-        (words.groups, ["=x"], "--group '=x' must be PATH=..., with both"),
+        (words.groups, ["=x"], "--group '=x' must be PATH=RUN,RUN: write"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_sentence(read, pairs, sentence):

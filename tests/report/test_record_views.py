@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from giajax import InputError
-from giajax.report import PageSection, RecordView, Table, register, view_of
+from giajax.report import PageSection, RecordView, Table, view_of
 from giajax.studies import Bootstrap, Influence, PosteriorSummary, Profiles, StudyRecord
 
 pytestmark = pytest.mark.quick
@@ -18,7 +18,7 @@ class Weighed(StudyRecord, file="weighed.json", head={"version": 2}, remedy="wei
     masses: tuple[float, ...]
 
 
-def test_an_application_registers_the_view_of_its_record():
+def test_an_application_makes_the_view_of_its_record():
     found = Weighed((0.5, 1.5))
     with pytest.raises(KeyError):
         view_of(found)
@@ -31,7 +31,6 @@ def test_an_application_registers_the_view_of_its_record():
             id="w", name="W", heading="W", table=table
         ),
     )
-    register(view)
     assert view_of(found) is view
 
 

@@ -5,33 +5,18 @@ and `giajax check` start without JAX.
 """
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-# Each registers its commands.
-from . import (
-    _compare as _compare,
-    _data as _data,
-    _design as _design,
-    _drive as _drive,
-    _fill as _fill,
-    _fit as _fit,
-    _joint as _joint,
-    _mission as _mission,
-    _model as _model,
-    _paper as _paper,
-    _posterior as _posterior,
-    _repetitions as _repetitions,
-    _sensitivity as _sensitivity,
-    _simulate as _simulate,
-    _suspects as _suspects,
-    _sweep as _sweep,
-    _view as _view,
-    _wind as _wind,
-)
 from ._commands import COMMANDS, Commands, command_of, run, with_options
+
+# Each file registers its commands.
+for _path in sorted(Path(__file__).parent.glob("_[a-z]*.py")):
+    import_module(f".{_path.stem}", __package__)
 
 _EXAMPLES = """\b
 Examples:
@@ -96,12 +81,7 @@ def _order(name: str) -> tuple[int, str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `giajax` with these arguments (those of the process by default).
-
-    Returns:
-        The exit status: 0, 2 for bad input or usage, 130 when interrupted (143 by SIGTERM), else
-        the command's own.
-    """
+    """Run `giajax` with these arguments (those of the process by default); the exit status."""
     words = sys.argv[1:] if arguments is None else list(arguments)
     return run(typer.main.get_command(_app_for(words)), words)
 
@@ -134,18 +114,12 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
             full = with_options(function, settings_after)
             app.command(name, epilog=examples, cls=command_of(full))(full)
         else:
-            app.command(name, epilog=examples)(_without_options(function))
+            app.command(name, epilog=examples, help=function.__doc__)(_only_listed)
     return app
 
 
-def _without_options(function: Callable[..., None]) -> Callable[..., None]:
-    """What the list of commands shows of one."""
-
-    def listed() -> None:
-        raise AssertionError(f"{function.__name__} is called, and was only to be listed")
-
-    listed.__doc__ = function.__doc__
-    return listed
+def _only_listed() -> None:
+    raise AssertionError("a command was called that was only to be listed")
 
 
 def _show_version(asked: bool) -> None:

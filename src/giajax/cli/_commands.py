@@ -34,10 +34,7 @@ def command(examples: str, *, settings_after: str = "") -> Callable[[Function], 
     metavar a switch. Words such as "--set" follow where the option is not called as its parameter,
     numbers are the least and the greatest value, and what is a list may be repeated. Of keywords,
     `**settings: Unpack[Settings]`, each item of the `TypedDict` is one.
-
-    Arguments:
-        examples: how it is called.
-        settings_after: the parameter behind which such items stand in the help.
+    They stand in the help behind the parameter `settings_after`.
     """
 
     def register(function: Function) -> Function:
@@ -110,8 +107,7 @@ _WHOLE = re.compile(r"[-+]?[0-9]{1,18}")
 
 def command_of(function: Callable[..., None]) -> type[TyperCommand]:
     """A class for the command of a function, which checks numbers and paths by its signature."""
-    hints = get_type_hints(function)
-    types = {name: _type_of(hints[name]) for name in inspect.signature(function).parameters}
+    types = {name: _type_of(hint) for name, hint in get_type_hints(function).items()}
 
     class Command(TyperCommand):
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -184,7 +180,7 @@ class Commands(TyperGroup):
 def _endings() -> Iterator[None]:
     try:
         yield
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):
         raise Ended(stopped_status()) from None
     except BrokenPipeError:
         raise Ended(BROKEN_PIPE) from None
@@ -193,25 +189,23 @@ def _endings() -> Iterator[None]:
 def run(command: Any, arguments: list[str]) -> int:
     """Run the command line. An `InputError` and a usage error are one line on standard error.
 
-    Returns:
-        The exit status: 0, or that of the command's `typer.Exit(status)`; 2 for bad input or
-        usage; 130 when interrupted, 143 when terminated.
+    The exit status is 0, or that of the command's `typer.Exit(status)`; 2 for bad input or usage;
+    130 when interrupted, 143 when terminated.
     """
     try:
-        result = command.main(args=arguments, prog_name="giajax", standalone_mode=False)
-        sys.stdout.flush()
+        with _endings():
+            result = command.main(args=arguments, prog_name="giajax", standalone_mode=False)
+            sys.stdout.flush()
     except InputError as error:
         return _say(str(error), BAD_INPUT)
     except UsageError as error:
         return _say(_usage(error), BAD_INPUT)
     except Ended as ended:
-        if ended.status == BROKEN_PIPE:
-            return _close_quietly()
-        return _say("interrupted", ended.status)
-    except (KeyboardInterrupt, typer.Abort):
-        return _say("interrupted", stopped_status())
-    except BrokenPipeError:
-        return _close_quietly()
+        if ended.status != BROKEN_PIPE:
+            return _say("interrupted", ended.status)
+        # The reader has gone. Python flushes standard output once more at exit: into nothing.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
     # Without standalone mode typer returns the status of `typer.Exit`, else what the command did.
     return result if isinstance(result, int) else 0
 
@@ -227,9 +221,3 @@ def _usage(error: Any) -> str:
     sentence = re.sub(r"(^|\. )([A-Z])", lambda m: (m[1] and ": ") + m[2].lower(), sentence)
     command = error.ctx.command_path if error.ctx is not None else "giajax"
     return f"{sentence}; '{command} --help' shows what there is"
-
-
-def _close_quietly() -> int:
-    # The reader has gone. Python flushes standard output once more at exit: into nothing.
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return BROKEN_PIPE

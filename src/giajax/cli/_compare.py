@@ -1,10 +1,12 @@
 """`giajax compare`, `choose` and `report`: what results say, side by side or one on a page."""
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ..runtime.process import configure
 from ._commands import Paths, Texts, argument, command
 from ._on_result import OnResult, on_result
 from ._options import ForceFile, Json, Renamed, print_table
@@ -39,8 +41,6 @@ def compare(
         stored_result(path)
     if out is not None:
         check_output_files([out], force=force)
-    from ..runtime.process import configure
-
     configure()
     from ..fitting import load_result
     from ..report import check_page, compare_page, contrast_json, contrast_tables
@@ -67,15 +67,10 @@ def compare(
 
 def _names(paths: list[Path]) -> list[str]:
     """Names of the folders of results, or of files; whole paths where these are not different."""
-    short = [_name(path) for path in paths]
-    return short if len(set(short)) == len(short) and all(short) else [str(path) for path in paths]
-
-
-def _name(path: Path) -> str:
     # A folder may have points in its name, such as those of a version.
-    if path.is_dir():
-        return path.name
-    return path.parent.name if path.name == "result.json" else path.stem
+    homes = [path.parent if path.name == "result.json" else path for path in paths]
+    short = [path.name if path.is_dir() else path.stem for path in homes]
+    return short if len(set(short)) == len(short) and all(short) else [str(path) for path in paths]
 
 
 _ENDS = {"not_converged": "NOT CONVERGED"}
@@ -106,50 +101,30 @@ def choose(
     renamed = parse_rename(rename or [])
     runs = [read_run(path, rename=renamed) for path in data]
     others = [read_run(path, rename=renamed) for path in held_out or []]
-
-    from ..runtime.process import configure
-
     configure()
     from ..studies import choose_hysteresis
 
     say = None if quiet else (lambda name: typer.echo(f"fitting {name} ...", err=True))
     choice = choose_hysteresis(runs, others, fraction=fraction, candidates=only, progress=say)
     ended = [one for one in choice.candidates if one.converged] or choice.candidates
-    least_aic = min(candidate.aic for candidate in ended)
-    least_bic = min(candidate.bic for candidate in ended)
-    facts = [
-        {
-            "model": candidate.name,
-            "parameters": candidate.parameters,
-            "held_out_rmse": candidate.held_out_rmse,
-            "rmse": candidate.rmse,
-            "delta_aic": candidate.aic - least_aic,
-            "delta_bic": candidate.bic - least_bic,
-            "status": candidate.status,
-        }
-        for candidate in choice.candidates
+    least_aic, least_bic = min(one.aic for one in ended), min(one.bic for one in ended)
+    keys = ("model", "parameters", "held_out_rmse", "rmse", "delta_aic", "delta_bic", "status")
+    rows = [
+        (
+            *(one.name, one.parameters, one.held_out_rmse, one.rmse),
+            *(one.aic - least_aic, one.bic - least_bic, one.status),
+        )
+        for one in choice.candidates
     ]
     if as_json:
-        import json
-
+        facts = [dict(zip(keys, row, strict=True)) for row in rows]
         typer.echo(json.dumps({"unit": choice.unit, "candidates": facts}, indent=2))
         return
-
     unit = f" {choice.unit}" if choice.unit else ""
     headings = ["model", "parameters", f"held out{unit}", f"fitted{unit}", "AIC", "BIC", "fit"]
-    rows = [
-        [
-            fact["model"],
-            fact["parameters"],
-            f"{fact['held_out_rmse']:.3g}",
-            f"{fact['rmse']:.3g}",
-            f"{fact['delta_aic']:+.1f}",
-            f"{fact['delta_bic']:+.1f}",
-            _ENDS.get(str(fact["status"]), fact["status"]),
-        ]
-        for fact in facts
-    ]
-    print_table(headings, rows)
+    formats = ("", "", ".3g", ".3g", "+.1f", "+.1f", "")
+    cells = [list(map(format, row, formats)) for row in rows]
+    print_table(headings, [[*row[:-1], _ENDS.get(row[-1], row[-1])] for row in cells])
 
 
 @on_result(

@@ -1,5 +1,6 @@
 """`giajax check`, `init`, `import`, `examples` and `cache`: recordings and files."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,6 +10,7 @@ import typer
 from ..runtime.text import InputError
 from ._commands import Texts, argument, command
 from ._options import Force, ForceRun, Renamed, print_table
+from ._values import numbers
 
 
 @command("""\b
@@ -30,55 +32,46 @@ def check(
 
     facts = describe(read_run(run, rename=parse_rename(rename or [])))
     if as_json:
-        import json
-
         typer.echo(json.dumps(facts, indent=2))
-    else:
-        _show_facts(facts)
-
-
-def _show_facts(facts: dict[str, Any]) -> None:
+        return
     print_table(["", ""], _summary(facts), left=2)
     print()
     headings = ["channel", "part", "unit", "values", "missing %", "min", "max", "noise"]
     print_table(headings, [_row(channel) for channel in facts["channels"]], left=3)
     if facts["notes"]:
-        print()
-    for note in facts["notes"]:
-        print(f"note: {note}")
+        print("", *(f"note: {note}" for note in facts["notes"]), sep="\n")
 
 
 def _summary(facts: dict[str, Any]) -> list[tuple[str, str]]:
     from ..schema import KINDS
 
-    rows = [("run", facts["path"]), ("model", facts["model"]), ("rows", str(facts["rows"]))]
+    rows = {"run": facts["path"], "model": facts["model"], "rows": str(facts["rows"])}
     if facts["time"] is not None:
-        rows.append(("time", _time(facts["time"])))
+        rows["time"] = _time(facts["time"])
     command, wind, sidecar = facts["command"], facts["wind"], facts["sidecar"]
     if command is not None:
         names, corners = ", ".join(command["channels"]), command["corners"]
-        rows.append(("command", f"{names}; {command['interpolation']}, {corners} corners"))
+        rows["command"] = f"{names}; {command['interpolation']}, {corners} corners"
     elif KINDS[facts["model"]].uncommanded:
-        rows.append(("command", KINDS[facts["model"]].uncommanded))
+        rows["command"] = KINDS[facts["model"]].uncommanded
     if wind is not None and wind["source"] == "constant":
-        rows.append(("wind", f"constant, {wind['velocity_m_per_s']} m/s"))
+        rows["wind"] = f"constant, {wind['velocity_m_per_s']} m/s"
     elif wind is not None:
-        rows.append(("wind", f"{', '.join(wind['channels'])}; {wind['interpolation']}"))
+        rows["wind"] = f"{', '.join(wind['channels'])}; {wind['interpolation']}"
     if sidecar is None:
-        rows.append(("sidecar", "none"))
+        rows["sidecar"] = "none"
     else:
         sections = dict.fromkeys(key.partition(".")[0] for key in sidecar["keys"])
-        rows.append(("sidecar", f"{sidecar['path']}, checksum {sidecar['checksum']}"))
-        rows.append(("stated", ", ".join(sections)))
-    return rows
+        rows["sidecar"] = f"{sidecar['path']}, checksum {sidecar['checksum']}"
+        rows["stated"] = ", ".join(sections)
+    return list(rows.items())
 
 
 def _time(time: dict[str, float]) -> str:
-    span = f"{time['start_s']:.6g} to {time['end_s']:.6g} s"
     median, least, most = (time[f"interval_{which}_s"] for which in ("median", "min", "max"))
-    if most - least <= 1e-6 * median:
-        return f"{span}, every {median:.6g} s"
-    return f"{span}, every {median:.6g} s (median; from {least:.6g} to {most:.6g} s)"
+    even = most - least <= 1e-6 * median
+    between = "" if even else f" (median; from {least:.6g} to {most:.6g} s)"
+    return f"{time['start_s']:.6g} to {time['end_s']:.6g} s, every {median:.6g} s{between}"
 
 
 def _row(channel: dict[str, Any]) -> list[Any]:
@@ -126,9 +119,7 @@ def import_(
     point: Annotated[Texts, "NAME=PART", "What a tracked point is: link06, tip or mark01."] = None,
     camera: Annotated[str | None, "NAME", "The camera; needed where there are several."] = None,
     rate: Annotated[float | None, "HZ", "DeepLabCut: pictures a second of the film."] = None,
-    likelihood: Annotated[
-        float, "P", "DeepLabCut: a point that is less likely is left empty."
-    ] = 0.6,
+    likelihood: Annotated[float, "P", "DeepLabCut: a less likely point is left empty."] = 0.6,
     kinovea_origin: Annotated[
         str | None,
         "U,V",
@@ -159,8 +150,6 @@ def import_(
         read_kinovea,
         write_run,
     )
-    from ..runtime.text import InputError
-    from ._values import number
 
     if (rate is None) == (kinovea_origin is None):
         raise InputError(
@@ -169,20 +158,20 @@ def import_(
     if rate is not None:
         points = read_deeplabcut(tracked, rate=rate, likelihood=likelihood)
     else:
-        place = [number(part) for part in (kinovea_origin or "").split(",")]
-        if len(place) != 2 or place[0] is None or place[1] is None:
+        place = numbers(kinovea_origin or "", 2)
+        if place is None:
             raise InputError(
                 f"--kinovea-origin {kinovea_origin!r} must be two numbers: write it like 0,1079"
             )
         points = read_kinovea(tracked, origin=(place[0], place[1]), time_unit=time_unit)
     values = filmed(points, parse_rename(point or [], "--point"), camera)
     seen = {name: int(np.isfinite(column).sum()) for name, column in values.items()}
-    empty = [name for name, count in seen.items() if count == 0]
-    if empty:
-        raise InputError(
-            f"{tracked} has no picture in which the point of {empty[0]} was found: leave it out, "
-            "or lower --likelihood"
-        )
+    for name, count in seen.items():
+        if count == 0:
+            raise InputError(
+                f"{tracked} has no picture in which the point of {name} was found: leave it out, "
+                "or lower --likelihood"
+            )
     times, table = points.times, values
     if commands is not None:
         times, table = filmed_beside(times, values, read_beside(commands))
@@ -215,9 +204,15 @@ def examples(
     if copy is None:
         _show_examples(root)
         return
-    files = list(_files(root))
-    _copy(root, files, copy, force)
-    typer.echo(f"copied {len(files)} files to {copy}; see: giajax fit {copy}/fits/base_step.toml")
+    from ..recordings import check_output_folder, make_folder, write_files
+
+    contents = {copy / path.relative_to(root): path.read_bytes() for path in _files(root)}
+    names = [path.relative_to(copy).as_posix() for path in contents]
+    check_output_folder(copy, names, force=force)
+    for folder in {path.parent for path in contents}:
+        make_folder(folder)
+    write_files(contents, force=force)
+    typer.echo(f"copied {len(names)} files to {copy}; see: giajax fit {copy}/fits/base_step.toml")
 
 
 def examples_root() -> Path:
@@ -225,9 +220,6 @@ def examples_root() -> Path:
 
     In an installed package it is `giajax/_examples`; in a checkout (an editable install) the
     root of the repository.
-
-    Raises:
-        InputError: neither is there.
     """
     from importlib import resources
 
@@ -242,11 +234,16 @@ def examples_root() -> Path:
 
 
 def _show_examples(root: Path) -> None:
+    from ..recordings import Definition
+
     fits = sorted((root / "fits").glob("*.toml"))
     print_table(["fit definition", "fits", "to"], [_fit(path, root) for path in fits], left=3)
     print()
-    missions = sorted((root / "missions").glob("*.toml"))
-    print_table(["mission", "through"], [_mission(path, root) for path in missions], left=2)
+    missions = []
+    for path in sorted((root / "missions").glob("*.toml")):
+        mission = Definition.load(path).mission
+        missions.append((path.relative_to(root).as_posix(), mission and mission.opening))
+    print_table(["mission", "through"], missions, left=2)
     print()
     tables = [path for data in _DATA for path in sorted((root / data).rglob("*.csv"))]
     # A table without a sidecar is something that a run was made from.
@@ -264,13 +261,6 @@ def _fit(path: Path, root: Path) -> list[str | None]:
     data = ", ".join(names) if len(names) < _MANY else f"{names[0]} and {len(names) - 1} others"
     free = "the default parameters" if fit.free is None else ", ".join(fit.free)
     return [path.relative_to(root).as_posix(), free, data]
-
-
-def _mission(path: Path, root: Path) -> list[str | None]:
-    from ..recordings import Definition
-
-    mission = Definition.load(path).mission
-    return [path.relative_to(root).as_posix(), None if mission is None else mission.opening]
 
 
 def _run(path: Path, root: Path) -> list[str | int | float | None]:
@@ -296,24 +286,11 @@ def _files(root: Path) -> Iterator[Path]:
                 yield path
 
 
-def _copy(root: Path, files: list[Path], target: Path, force: bool) -> None:
-    from ..recordings import check_output_folder, make_folder, write_files
-
-    contents = {target / path.relative_to(root): path.read_bytes() for path in files}
-    names = [path.relative_to(target).as_posix() for path in contents]
-    check_output_folder(target, names, force=force)
-    for folder in {path.parent for path in contents}:
-        make_folder(folder)
-    write_files(contents, force=force)
-
-
 @command("""\b
 Examples:
   giajax cache              where it is, how many programs it holds, and their size
   giajax cache --clear      removes them; the next fit traces and compiles again""")
-def cache(
-    clear: Annotated[bool, "Remove what is there."] = False,
-) -> None:
+def cache(clear: Annotated[bool, "Remove what is there."] = False) -> None:
     """Show or clear the programs that are kept between commands.
 
     Each command finds those of its model and its data there. A file that is of another version of
@@ -323,7 +300,6 @@ def cache(
     """
     from ..runtime.process import PROGRAMS, compilation_cache
     from ..runtime.programs import SUFFIX
-    from ..runtime.text import InputError
 
     directory, stated = compilation_cache()
     if directory is None:
@@ -346,15 +322,9 @@ def cache(
         typer.echo(f"{directory}: removed {len(removed)} of {len(traced) + len(compiled)} programs")
         return
     typer.echo(str(directory))
-    print_table(
-        ["", "programs", "MB"],
-        [
-            (name, len(paths), _megabytes(paths))
-            for name, paths in (("traced", traced), ("compiled", compiled))
-        ],
-    )
-
-
-def _megabytes(paths: list[Path]) -> str:
-    # Another process may remove one meanwhile.
-    return f"{sum(path.stat().st_size for path in paths if path.exists()) / 1e6:.1f}"
+    rows = []
+    for name, paths in (("traced", traced), ("compiled", compiled)):
+        # Another process may remove one meanwhile.
+        size = sum(path.stat().st_size for path in paths if path.exists())
+        rows.append((name, len(paths), f"{size / 1e6:.1f}"))
+    print_table(["", "programs", "MB"], rows)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.process import configure
-from ..runtime.signals import is_stopped, stopped_status
+from ..runtime.signals import stopped_status
 from ..runtime.text import InputError
 from ._commands import Texts, argument, command
 from ._model import is_result
@@ -22,10 +22,11 @@ from ._options import (
     Tolerance,
     print_table,
     say_written,
+    stop_if_asked,
     write_folder,
 )
-from ._simulate import channel_names, definition_from_options, model_and_truth
-from ._values import deviations, noise_section
+from ._simulate import channel_names, check_tolerance, definition_from_options, model_and_truth
+from ._values import Values, deviations, noise_section, settings
 
 if TYPE_CHECKING:
     from ..apps.design import Design, Evaluation
@@ -40,37 +41,27 @@ _KEPT = ("initial", "wind", "noise")
 def source_of(
     source: Path | None,
     links: int | None,
-    pairs: list[str],
+    changed: Values,
     free: list[str],
     solver: str,
     tolerance: float,
 ) -> tuple["ArmModel | FitResult", dict[str, Any]]:
     """The arm or the fit, and what a file says of what is free, priors, ties and the start.
 
-    Arguments:
-        source: SOURCE of the command line.
-        links, pairs, free: of --links, --set and --free, which go before what a file says.
-        solver, tolerance: of the integration.
-
-    Raises:
-        InputError: --links or --set beside a fit, or a file that describes no arm.
+    The options --links, --set and --free go before what the file says.
     """
     if source is not None and is_result(source):
         from ..fitting import load_result
         from ..models import capabilities
 
-        if links is not None or pairs:
+        if links is not None or changed:
             raise InputError("a fit brings its own arm: leave out --links and --set")
         fitted = load_result(source)
         model = capabilities.with_integration(fitted.model, solver=solver, tolerance=tolerance)
         # As the definition of the fit would have it, but for noise, which the fit has.
         first = {**fitted.config["runs"][0], "noise": None}
-        return dataclasses.replace(fitted, model=model), {
-            "free": None,
-            "priors": None,
-            "ties": None,
-            "definition": _kept(first),
-        }
+        known = dict.fromkeys(("free", "priors", "ties"))
+        return dataclasses.replace(fitted, model=model), {**known, "definition": _kept(first)}
     from ..recordings import read_sidecar
 
     definition = definition_from_options(source, links, None)
@@ -78,17 +69,14 @@ def source_of(
     if source is not None and fit.data:
         # What a fit definition does not say of the arm, the sidecar of its first run does.
         definition = read_sidecar(source.parent / fit.data[0]).merged_with(definition)
-    values, ties = {**fit.start, **fit.fix}, fit.ties
-    started = [f"{path}={_typed(value)}" for path, value in values.items()]
-    changed = {path.partition("=")[0] for path in pairs}
-    kept = [pair for pair in started if pair.partition("=")[0] not in changed]
-    model, _ = model_and_truth(definition, [*kept, *pairs], solver, tolerance)
-    stated = definition.contents()
+    kept = {path: value for path, value in {**fit.start, **fit.fix}.items() if path not in changed}
+    started = {path: value if isinstance(value, list) else [value] for path, value in kept.items()}
+    model, _ = model_and_truth(definition, {**started, **changed}, solver, tolerance)
     return model, {
         "free": _free(model, fit),
         "priors": fit.known,
-        "ties": {path: text for path, text in ties.items() if path not in {*changed, *free}},
-        "definition": _kept(stated),
+        "ties": {path: text for path, text in fit.ties.items() if path not in {*changed, *free}},
+        "definition": _kept(definition.contents()),
     }
 
 
@@ -115,11 +103,6 @@ def _free(model: "ArmModel", fit: "FitSettings") -> list[str] | None:
     return [path for path in free if path not in without]
 
 
-def _typed(value: Any) -> str:
-    numbers = value if isinstance(value, list) else [value]
-    return ",".join(f"{number:.17g}" for number in numbers)
-
-
 _FILES = ("command.csv", "command.toml", "design.json", "design.png")
 _DIGITS = 12
 
@@ -142,7 +125,7 @@ def design(
     wanted: Annotated[list[str], "PATH", "A parameter to find.", "--for"],
     out: Annotated[Path, "DIR", "Folder for the files."],
     source: Annotated[
-        Path | None, argument("[SOURCE]", "The arm, or a fit of it; see below.")
+        Path | None, argument("[SOURCE]", "The arm or a fit of it; see below.")
     ] = None,
     links: Links = None,
     pairs: Settings = None,
@@ -155,9 +138,7 @@ def design(
     angle_rate: Annotated[float, "DEG/S", "Largest rate of a joint."] = 30.0,
     duration: Annotated[float, "S", "Length of the run, s."] = 25.0,
     rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
-    channels: Annotated[
-        Texts, "CHANNELS", "What may be recorded: link06, tip, link20_z. [all]"
-    ] = None,
+    channels: Annotated[Texts, "CHANNELS", "May be recorded: link06, tip, link20_z. [all]"] = None,
     markers: Annotated[int | None, "N", "How many links may be filmed. [all of them]"] = None,
     noise: Annotated[
         Texts,
@@ -185,39 +166,30 @@ def design(
     Within limits of angle, rate and time it most lowers the standard error of chosen parameters,
     whatever they are within their present uncertainty. Ctrl-C keeps the best so far.
     """
-    from ..recordings import check_output_folder, write_run
+    from ..recordings import check_output_folder, stored_result, write_run
 
-    if not 0 < tolerance <= 0.1:
-        raise InputError(f"--tolerance is {tolerance:g}: give a positive number of at most 0.1")
-    section = noise_section(noise, "--noise")
-    if not all(value > 0 for value in section.values()):
-        raise InputError("--noise is 0, but no recording is exact: give a positive number")
-    moving = _numbers(joints)
+    check_tolerance(tolerance)
+    section = noise_section(noise, "--noise", positive=True)
+    moving, values = _numbers(joints), settings(pairs)
     check_output_folder(out, _FILES, force=force)
     if source is not None and is_result(source):
-        from ..recordings import stored_result
-
         # What is no result is refused before JAX is imported, which takes seconds.
         stored_result(source)
-
     configure()
     from ..apps.design import Limits, design_experiment, design_figure, design_json, joint_count
     from ..report import to_png
 
     limits = Limits(moving, math.radians(angle), math.radians(angle_rate), duration, rate)
-    given, settings = source_of(source, links, pairs or [], free or [], solver, tolerance)
+    given, known = source_of(source, links, values, free or [], solver, tolerance)
     names = channel_names(channels or ["all"], joint_count(given))
     found = design_experiment(
         given,
         wanted,
         limits,
         criterion=criterion or ("c" if len(wanted) == 1 else "A"),
-        free=free or settings["free"],
         channels=names,
         markers=markers,
         noise=deviations(section, "--noise", names),
-        priors=settings["priors"],
-        ties=settings["ties"],
         uncertainty=uncertainty,
         over="worst" if worst else "mean",
         draw_count=draws,
@@ -225,22 +197,16 @@ def design(
         starts=starts,
         follow=follow,
         iterations=iterations,
-        definition=settings["definition"],
-        progress=_quietly if quiet else _Progress(),
+        progress=stop_if_asked if quiet else _Progress(),
+        **known | ({"free": free} if free else {}),
     )
     text = design_json(found)
     run = found.designed.run
     picture = to_png(design_figure(found, f"{', '.join(found.wanted)}: the next experiment"))
     contents = {"design.json": f"{text}\n".encode(), "design.png": picture}
     write_folder(out, contents, force=force)
-    write_run(
-        out / "command.csv",
-        run.times,
-        run.commands,
-        definition=run.definition,
-        digits=_DIGITS,
-        force=force,
-    )
+    how: dict[str, Any] = {"definition": run.definition, "digits": _DIGITS, "force": force}
+    write_run(out / "command.csv", run.times, run.commands, **how)
     if as_json:
         typer.echo(text)
     else:
@@ -256,11 +222,6 @@ def _numbers(joints: str) -> tuple[int, ...]:
     if not all(word.isascii() and word.isdigit() and len(word) < 9 for word in words):
         raise InputError(f"--joints {joints!r} must be numbers, such as 1,3: correct it")
     return tuple(int(word) for word in words)
-
-
-def _quietly(evaluation: "Evaluation") -> None:
-    if is_stopped():
-        raise KeyboardInterrupt
 
 
 class _Progress:
@@ -279,7 +240,7 @@ class _Progress:
         typer.echo(
             f"{evaluation.number:4d}  {start:>5}  {shares[0]:7.3f}  {shares[1]:5.3f}", err=True
         )
-        _quietly(evaluation)
+        stop_if_asked(evaluation)
 
 
 def _show(found: "Design") -> None:
@@ -299,9 +260,7 @@ def _show(found: "Design") -> None:
         typer.echo("record more, have less free, or state priors")
     else:
         low, high = found.spread
-        typer.echo(
-            f"over {found.draws} draws of what is uncertain {low:.2f} to {high:.2f} times the "
-            "error foreseen"
-        )
+        within = f"{low:.2f} to {high:.2f} times the error foreseen"
+        typer.echo(f"over {found.draws} draws of what is uncertain {within}")
     if found.status == "iteration limit":
         typer.echo("stopped at the iteration limit: --iterations gives the search more steps")

@@ -1,38 +1,32 @@
 """`giajax drive`: the operator's page, or what a pad did, without one."""
 
+import itertools
 import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from ..runtime.process import configure
 from ..runtime.text import InputError
 from ._commands import Texts, argument, command
 from ._model import is_result
-from ._options import Browser, ForceRun, Host, Links, Port, origin
+from ._options import Browser, ForceRun, Host, Links, Port, origin, say_served
 from ._simulate import channel_names, definition_from_options, gusts_of
 from ._values import noise_section, settings, with_settings
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..apps.driving import Compensation, PadMapping, Session, TipCamera
+    from ..apps.driving import Session, TipCamera
     from ..apps.synthetic import Drive
     from ..models import ArmModel
     from ..recordings import Definition
 
 # Of gusts, s; then they begin again. And how often their rows are.
 _GUSTY, _GUST_RATE = 1800.0, 10.0
-
-
-def free_name() -> Path:
-    """A name that no drive has yet."""
-    number = 1
-    while (path := Path(f"drive-{number}.csv")).exists() or path.with_suffix(".toml").exists():
-        number += 1
-    return path
 
 
 def driven_arm(
@@ -57,12 +51,6 @@ def driven_arm(
     return definition_from_options(None, None, wind), cast("ArmModel", model)
 
 
-def mapping_of(pad: Path | None, joints: int) -> "PadMapping":
-    from ..apps.driving import PadMapping
-
-    return PadMapping.usual(joints) if pad is None else PadMapping.load(pad, joints)
-
-
 def wind_of(
     gusts: str | None, definition: "Definition", model: "ArmModel", seed: int
 ) -> "Drive | None":
@@ -85,18 +73,6 @@ def wind_of(
     return Drive(np.array([0.0, _GUSTY]), values, "linear")
 
 
-def compensation_of(result: Path | None, joints: int) -> "Compensation | None":
-    if result is None:
-        return None
-    from ..apps.control import compensator_for_model
-    from ..apps.driving import Compensation
-    from ..fitting import load_result
-    from ..recordings import stored_result
-
-    stored_result(result)
-    return Compensation(compensator_for_model(load_result(result).model), joints)
-
-
 def replay_table(session: "Session", table: "Mapping[str, np.ndarray]") -> None:
     """Drive by a table; says how far it is, where somebody watches."""
     from ..apps.driving import replay
@@ -117,16 +93,10 @@ def replay_table(session: "Session", table: "Mapping[str, np.ndarray]") -> None:
 def serve(session: "Session", camera: "TipCamera", *, host: str, port: int, browser: bool) -> None:
     """Serve the page until Ctrl-C."""
     from ..apps.driving import Cockpit
-    from ..apps.viewer import open_in_browser
 
     cockpit = Cockpit(session, camera, host=host, port=port)
     try:
-        typer.echo(f"open {cockpit.address}")
-        if cockpit.is_open:
-            typer.echo("whoever has this address drives the arm, from other machines, too")
-        typer.echo("Ctrl-C ends the drive and saves it")
-        if browser:
-            open_in_browser(cockpit.address)
+        say_served(cockpit, "drives the arm", "ends the drive and saves it", browser=browser)
         while not cockpit.wait(1.0):
             pass
         raise InputError(cockpit.error or "the drive is over")
@@ -136,25 +106,16 @@ def serve(session: "Session", camera: "TipCamera", *, host: str, port: int, brow
         cockpit.close()
 
 
-def save(
-    session: "Session",
-    out: Path,
-    channels: list[str],
-    *,
-    force: bool,
-    noise: dict[str, float],
-    every: int,
-    seed: int,
-    origin: str,
-) -> None:
-    """Write the drive, and say what is in it; one in which nothing was moved is not written."""
+def save(session: "Session", out: Path, channels: list[str], *, force: bool, **how: Any) -> None:
+    """Write the drive, and say what is in it; one in which nothing was moved is not written.
+
+    `how` is as of `giajax.apps.driving.Record.run`.
+    """
     from ..recordings import sidecar_path, write_run
 
     record = session.record
     try:
-        run = record.run(
-            channels, name=out.stem, noise=noise, every=every, seed=seed, origin=origin
-        )
+        run = record.run(channels, name=out.stem, **how)
     except InputError as error:
         typer.echo(f"giajax: {error}", err=True)
         return
@@ -200,19 +161,13 @@ def drive(
     links: Links = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter.", "--set"] = None,
     wind: Annotated[str | None, "X,Y,Z", "Mean velocity of the air, m/s."] = None,
-    gusts: Annotated[
-        str | None, "I:L", "Gusts about --wind: intensity, and length scale, m."
-    ] = None,
-    compensate: Annotated[
-        Path | None, "RESULT", "A fit of a joint's hysteresis, to be undone."
-    ] = None,
+    gusts: Annotated[str | None, "I:L", "Gusts about --wind: intensity, length scale, m."] = None,
+    compensate: Annotated[Path | None, "RESULT", "A fit of a joint's hysteresis to undo."] = None,
     no_memory: Annotated[bool, "Leave out what joints remember."] = False,
     latency: Annotated[float, "S", "Of the picture of the camera at the tip."] = 0.2,
     rate: Annotated[float, "HZ", "Poses a second."] = 30.0,
     steps: Annotated[int, "N", "Steps of the integrator in each.", 1] = 1,
-    out: Annotated[
-        Path | None, "RUN.csv", "The run to write. [default: drive-1.csv, or -2 ...]"
-    ] = None,
+    out: Annotated[Path | None, "RUN.csv", "The run to write. [drive-1.csv, or -2 ...]"] = None,
     channels: Annotated[Texts, "CHANNELS", "What is recorded, as of simulate."] = None,
     noise: Annotated[Texts, "KEY=VALUE", "Standard deviation, by a key of [noise]."] = None,
     every: Annotated[int, "N", "One row in so many is recorded.", 1] = 3,
@@ -226,34 +181,40 @@ def drive(
 
     The picture of a camera at the tip, gusts, and every drive saved as a run.
     """
-    from ..recordings import check_output_run
+    from ..recordings import check_output_run, stored_result
 
     section = noise_section(noise, "--noise")
-    out = free_name() if out is None else out
+    if out is None:
+        names = (Path(f"drive-{number}.csv") for number in itertools.count(1))
+        out = next(n for n in names if not (n.exists() or n.with_suffix(".toml").exists()))
     check_output_run(out, force=force)
     values = settings(pairs)
     if what is not None and not what.exists():
         raise InputError(f"{what} does not exist: give the folder of a fit, or the file of an arm")
-
-    from ..runtime.process import configure
-
     configure()
     import numpy as np
 
-    from ..apps.driving import Session, TipCamera, check_length, read_pad
+    from ..apps.control import compensator_for_model
+    from ..apps.driving import Compensation, PadMapping, Session, TipCamera, check_length, read_pad
+    from ..fitting import load_result
 
     table = None if replay is None else read_pad(replay)
     definition, model = driven_arm(what, links, wind)
     model = with_settings(model, values)
     count = model.arm.count
     recorded = channel_names(channels or [], count)
+    compensation = None
+    if compensate is not None:
+        stored_result(compensate)
+        compensator = compensator_for_model(load_result(compensate).model)
+        compensation = Compensation(compensator, count)
     session = Session(
         model,
-        mapping_of(pad, count),
+        PadMapping.usual(count) if pad is None else PadMapping.load(pad, count),
         rate=rate,
         steps=steps,
         gusts=wind_of(gusts, definition, model, seed),
-        compensation=compensation_of(compensate, count),
+        compensation=compensation,
         memory=not no_memory,
     )
     if table is not None:

@@ -39,9 +39,7 @@ A definition is a TOML file with an [arm] and a [filling], such as
   port_diameter_mm = 8.0
   shared = [[1, 2], [3, 4]]  # links that are not welded apart""")
 def fill(
-    definition: Annotated[
-        Path | None, argument("DEFINITION", "[arm] and [filling] to use.")
-    ] = None,
+    definition: Annotated[Path | None, argument("DEFINITION", "Its [arm] and [filling].")] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter, SI.", "--set"] = None,
     minutes: Annotated[float, "MIN", "How long filling takes on the curve of ports."] = 23.0,
     no_curve: Annotated[bool, "Leave that curve out."] = False,
@@ -62,7 +60,6 @@ def fill(
         )
     sections = Definition() if definition is None else Definition.load(definition)
     values = settings(pairs)
-
     configure()
     from ..apps.filling import (
         CURVE_FILES,
@@ -101,33 +98,21 @@ def _show(filled: "Filled") -> None:
     def minutes(seconds: float) -> str | None:
         return None if np.isnan(seconds) else f"{seconds / 60:.2f}"
 
-    rows = [
-        (
-            str(link + 1),
-            minutes(filled.full[link]),
-            minutes(filled.lift_off[link]),
-            f"{filled.fullness[-1, link]:.3f}",
-            f"{filled.pressure[:, link].max():.1f}",
-            f"{1e3 * filled.net_lift[-1, link]:.1f}",
-            f"{filled.stiffness[-1, link]:.1f}",
-        )
-        for link in range(len(filled.full))
-    ]
+    rows = []
+    for link, (full, lifts) in enumerate(zip(filled.full, filled.lift_off, strict=True)):
+        most, lift = filled.pressure[:, link].max(), 1e3 * filled.net_lift[-1, link]
+        numbers = (f"{filled.fullness[-1, link]:.3f}", f"{most:.1f}", f"{lift:.1f}")
+        stiffness = f"{filled.stiffness[-1, link]:.1f}"
+        rows.append((str(link + 1), minutes(full), minutes(lifts), *numbers, stiffness))
     headings = ["link", "full min", "lifts min", "fullness", "most Pa", "lift g", "N m^2"]
     print_table(headings, rows)
     if filled.finished:
         typer.echo(f"\nfull after {filled.duration / 60:.2f} min")
     else:
-        typer.echo(
-            f"\nnot full after {filled.times[-1] / 60:.0f} min: "
-            "the supply is too weak, or has too little"
-        )
-    lifts = minutes(filled.arm_lift_off)
-    typer.echo(
-        "the arm's lift does not bear it"
-        if lifts is None
-        else f"the arm lifts itself at {lifts} min"
-    )
+        why = "the supply is too weak, or has too little"
+        typer.echo(f"\nnot full after {filled.times[-1] / 60:.0f} min: {why}")
+    at = minutes(filled.arm_lift_off)
+    typer.echo(f"the arm lifts itself at {at} min" if at else "the arm's lift does not bear it")
 
 
 def _show_curve(curve: "FillingCurve") -> None:
@@ -138,15 +123,8 @@ def _show_curve(curve: "FillingCurve") -> None:
     unit = next(each.unit for each in SUPPLY if each.path == curve.path)
     typer.echo(f"\nfilling takes {curve.duration / 60:g} min with")
     columns = (curve.diameters, curve.flows, curve.strengths, curve.pressures)
-    rows = [
-        (
-            f"{1e3 * diameter:g}",
-            *(
-                (None, None, None)
-                if np.isnan(flow)
-                else (f"{6e4 * flow:.2f}", f"{strength:.5g}", f"{pressure:.0f}")
-            ),
-        )
-        for diameter, flow, strength, pressure in zip(*columns, strict=True)
-    ]
+    rows = []
+    for diameter, flow, strength, pressure in zip(*columns, strict=True):
+        cells = (f"{6e4 * flow:.2f}", f"{strength:.5g}", f"{pressure:.0f}")
+        rows.append((f"{1e3 * diameter:g}", *((None,) * 3 if np.isnan(flow) else cells)))
     print_table(["port mm", "l/min", f"{curve.path} {unit}", "most Pa"], rows)

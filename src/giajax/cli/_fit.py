@@ -45,51 +45,35 @@ class _Settings(TypedDict):
     start: Annotated[Texts, "PATH=VALUE", "Start a parameter at a value."]
     fix: Annotated[Texts, "PATH=VALUE", "Hold a parameter at a value."]
     prior: Annotated[
-        Texts,
-        "PATH=VALUE+-DEVIATION",
-        "What is known of it before; PATH=VALUEx/FACTOR is log-normal.",
+        Texts, "PATH=VALUE+-DEVIATION", "Known before; PATH=VALUEx/FACTOR is log-normal."
     ]
     bounds: Annotated[Texts, "PATH=LOW,HIGH", "Bounds of a parameter, within those that it has."]
-    tie: Annotated[
-        Texts,
-        "PATH=EXPRESSION",
-        "Let a parameter follow from others, as in links.mass=links.mass[0].",
-    ]
+    tie: Annotated[Texts, "PATH=EXPRESSION", "Let it follow from others: links.mass=links.mass[0]."]
     per_run: Annotated[Texts, "PATH", "Fit a value of it for each run."]
     group: Annotated[Texts, "PATH=RUN,RUN", "Fit a value that these share."]
     uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a held parameter."]
     channels: Annotated[Texts, "NAME", "Fit this channel only, without its unit: link20_z."]
     hold_out: Annotated[
-        Texts, "NAME", "Judge by this and do not fit it: a run, a channel, or last (fifth)."
+        Texts, "NAME", "Judge by it, do not fit it: a run, a channel, last (fifth)."
     ]
     window: Annotated[float | None, "S", "Cut runs into windows, each with its own start."]
-    windows_first: Annotated[
-        float | None, "S", "Fit such windows first, and whole runs from there."
-    ]
+    windows_first: Annotated[float | None, "S", "Fit such windows first, then whole runs."]
     starts: Annotated[int | None, "N", "Fit from so many starts and keep the best end (1).", 1]
-    spread: Annotated[
-        float | None, "X", "How far the other starts are away; 0.3 is 30 percent (0.3)."
-    ]
+    spread: Annotated[float | None, "X", "How far the other starts are away, as a share (0.3)."]
     seed: Annotated[int | None, "N", "Of the other starts (0).", 0]
     loss: Annotated[
-        str | None,
-        "NAME",
-        "How a large residual counts: linear, or huber or soft_l1 for outliers (linear).",
+        str | None, "NAME", "How residuals count; for outliers huber or soft_l1 (linear)."
     ]
-    noise_model: Annotated[
-        str | None, "NAME", "correlated, which looks for correlated noise, or white (correlated)."
-    ]
+    noise_model: Annotated[str | None, "NAME", "correlated where it is, or white (correlated)."]
     noise_per_run: Annotated[
         bool | None,
-        "Estimate the noise in each run by itself, or (default) in all together.",
+        "Estimate noise in each run, or (default) in all.",
         "--noise-per-run/--noise-pooled",
     ]
     solver: Annotated[str | None, "NAME", "Integration method (springs5), such as tsit5."]
-    tolerance: Annotated[
-        float | None, "TOL", "Tolerance of the integration (chosen by what it moves)."
-    ]
+    tolerance: Annotated[float | None, "TOL", "Of the integration (chosen by what it moves)."]
     max_iterations: Annotated[int | None, "N", "Trial steps before the fit gives up (50).", 1]
-    budget: Annotated[str | None, "TIME", "End with the best so far when it is over: 90s, 10m, 2h."]
+    budget: Annotated[str | None, "TIME", "End with the best so far after 90s, 10m, 2h."]
 
 
 def _typed(given: _Settings) -> "TaskKeywords":
@@ -102,9 +86,6 @@ def _typed(given: _Settings) -> "TaskKeywords":
     return said
 
 
-# Which task the arguments of `giajax fit` name, before its options are put on top.
-
-
 def named_task(
     definition: Path | None,
     config: Path | None,
@@ -112,14 +93,7 @@ def named_task(
     resume: Path | None,
     has_data: bool,
 ) -> "FitTask":
-    """The task of a fit definition, of a result, of a journal, or of data alone.
-
-    Arguments:
-        definition, config: the fit definition as argument and as option; at most one of them.
-        again: the result whose numbers are to come again.
-        resume: the folder whose journal is to be gone on with.
-        has_data: whether there is data on the command line.
-    """
+    """The task of a fit definition, of a result, of a journal, or of data alone."""
     from ..recordings import Definition
     from ..tasks import FitTask
 
@@ -178,34 +152,24 @@ that converges.""",
     settings_after="config",
 )
 def fit(
-    definition: Annotated[
-        Path | None, argument("FILE.toml", "Fit definition: what to fit to what.")
-    ] = None,
+    definition: Annotated[Path | None, argument("FILE.toml", "What to fit to what.")] = None,
     data: Annotated[Paths, "RUN.csv", "A run to fit, together with others."] = None,
     config: Annotated[Path | None, "FILE.toml", "The fit definition, if it is no argument."] = None,
     rename: Renamed = None,
     begin: Annotated[Path | None, "RESULT", "Start where another fit ended.", "--from"] = None,
-    again: Annotated[
-        Path | None, "RESULT", "The fit of a result once more: same data, same numbers."
-    ] = None,
+    again: Annotated[Path | None, "RESULT", "A fit once more: same data, same numbers."] = None,
     cores: Cores = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    resume: Annotated[
-        Path | None, "DIR", "Go on with the fit whose journal is in this folder."
-    ] = None,
-    out: Annotated[
-        Path | None, "DIR", "Where the result goes (giajax-out/RUN, by the run's name)."
-    ] = None,
+    resume: Annotated[Path | None, "DIR", "Go on with the fit whose journal is there."] = None,
+    out: Annotated[Path | None, "DIR", "Where the result goes (giajax-out/RUN)."] = None,
     force: Annotated[bool, "Write over the result of another fit."] = False,
     as_json: Annotated[bool, "--json", "Print result.json instead of the tables."] = False,
     strict: Annotated[bool, "End with status 3 where the model does not fit the data."] = False,
     quiet: Annotated[bool, "Print errors only."] = False,
     suspects: Annotated[bool, "Of an inadequate model, ask what it leaves out."] = True,
     figures: Annotated[bool, "Draw pictures of the result."] = True,
-    self_test: Annotated[
-        bool, "Repeat the fit with noise drawn anew: are its errors right?"
-    ] = False,
+    self_test: Annotated[bool, "Repeat it with noise drawn anew: are its errors right?"] = False,
     report: Annotated[bool, "Write report.html, a page for a browser, too."] = False,
     **settings: Unpack[_Settings],
 ) -> None:

@@ -14,17 +14,22 @@ from typing import TYPE_CHECKING
 import typer
 
 from ..runtime.process import configure
-from ..runtime.signals import is_stopped, stopped_status
+from ..runtime.signals import stopped_status
 from ..runtime.text import InputError, time_in_words
-from ._options import forget_starts, print_table, say_written, terminal_width, workers_of_starts
+from ._options import (
+    forget_starts,
+    print_table,
+    say_written,
+    stop_if_asked,
+    terminal_width,
+    workers_of_starts,
+)
 from ._repetitions import self_test as repeated_fit
 
 if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration, Setup
     from ..recordings import Definition, Run
     from ..tasks import FitTask
-
-# How long a fit may still take, from the steps so far.
 
 # Who waits for less needs no word about it; a word a minute is enough for the others.
 _WORTH_A_WORD_S = 30.0
@@ -91,13 +96,8 @@ class TimeLeft:
         )
 
 
-# The progress of a fit on standard error.
-
-
-def stop_if_asked(iteration: "Iteration") -> None:
-    """Stop a fit after a signal whose exception was lost, as in a callback of a library."""
-    if is_stopped():
-        raise KeyboardInterrupt
+def _say(line: str) -> None:
+    typer.echo(line, err=True)
 
 
 class Progress:
@@ -110,7 +110,7 @@ class Progress:
     def __init__(self, factors: Mapping[str, float], left: TimeLeft | None = None) -> None:
         self._factors = factors
         self._left = left
-        self._say("compiling ...")
+        _say("compiling ...")
         self._headed = False
 
     def __call__(self, iteration: "Iteration") -> None:
@@ -125,18 +125,14 @@ class Progress:
         made = ["", ""] if iteration.number == 0 else [step, taken]
         self._row([str(iteration.number), f"{iteration.cost:.6g}", *made, *values])
         if self._left is not None and (sentence := self._left.after(iteration.number)):
-            self._say(sentence)
+            _say(sentence)
         stop_if_asked(iteration)
 
     def announce(self, number: int, start: Mapping[str, float]) -> None:
         """Say which of several starts is next."""
         if self._left is not None:
             self._left.start()
-        self._say(f"start {number}")
-
-    def end(self) -> None:
-        """Keep a line between the iterations and the table, where both are on one screen."""
-        self._say("")
+        _say(f"start {number}")
 
     def _head(self, paths: list[str]) -> None:
         # joints.pitch_stiffness in two short lines, so that four parameters go into 80 columns.
@@ -156,26 +152,19 @@ class Progress:
         line = "  ".join(c.rjust(w) for c, w in zip(cells, self._widths, strict=True)).rstrip()
         if sys.stderr.isatty():
             line = line[: shutil.get_terminal_size().columns]
-        self._say(line)
-
-    def _say(self, line: str) -> None:
-        typer.echo(line, err=True)
+        _say(line)
 
 
-def in_windows(setup: "Setup") -> Progress:
+def _in_windows(setup: "Setup") -> Progress:
     """The progress of a fit in windows, which only says where that of whole runs begins."""
     from ..fitting import column_factors
 
-    typer.echo(f"first in {len(setup.runs)} windows", err=True)
+    _say(f"first in {len(setup.runs)} windows")
     return Progress(column_factors(setup.model))
 
 
-def of_windows(result: "FitResult") -> None:
-    """Say how a fit in windows ended."""
-    typer.echo(f"in windows: {result.message}; whole runs from there", err=True)
-
-
-# What a person sees at the end of `giajax fit`: the result, then its files.
+def _of_windows(result: "FitResult") -> None:
+    _say(f"in windows: {result.message}; whole runs from there")
 
 
 def write_or_print(result: "FitResult", runs: "Sequence[Run]", folder: Path) -> list[Path]:
@@ -236,10 +225,9 @@ _INADEQUATE = 3
 
 
 def finished(folder: Path, as_json: bool, quiet: bool) -> int | None:
-    """Say of a fit that has ended that there is nothing to go on with.
+    """Say of a fit that has ended that there is nothing to go on with; the status of its end.
 
-    Returns:
-        The status with which it ended; None where there is a journal, or no such result.
+    It is None where there is a journal, or no such result.
     """
     from ..recordings import stored_result
     from ..tasks import read_journal
@@ -253,11 +241,8 @@ def finished(folder: Path, as_json: bool, quiet: bool) -> int | None:
     if as_json:
         typer.echo(path.read_text(encoding="utf-8"), nl=False)
     if not quiet:
-        typer.echo(
-            f"the fit in {folder} has ended, and there is nothing to go on with: "
-            f"{record['message']}",
-            err=as_json,
-        )
+        ended = f"the fit in {folder} has ended, and there is nothing to go on with"
+        typer.echo(f"{ended}: {record['message']}", err=as_json)
     return _STATUS[record["status"]]
 
 
@@ -278,25 +263,16 @@ def run_fit(
     scheduler: str | None,
 ) -> int:
     """Fit a task, write its result and show it, by the options of these names; the exit status."""
-
     configure()
     from ..fitting import column_factors
     from ..recordings import stored_result, write_files
-    from ..report import (
-        PAGE,
-        check_figures,
-        check_folder,
-        check_page,
-        report_page,
-        write_figures,
-    )
+    from ..report import PAGE, check_figures, check_folder, check_page, report_page, write_figures
     from ..studies import choice_hint
     from ..tasks import compared, version_note, with_warm_start
 
-    task = with_warm_start(
-        task, *((lambda _: stop_if_asked,) if quiet else (in_windows, of_windows))
-    )
-    ready = task.prepare()
+    watched = (lambda _: stop_if_asked,) if quiet else (_in_windows, _of_windows)
+    task = with_warm_start(task, *watched)
+    ready, shown = task.prepare(), not (as_json or quiet)
     check_figures(ready.setup.model, task.definition)
     check_folder(task.out, ready.runs, ready.setup.config, force=force)
     if report:
@@ -328,13 +304,14 @@ def run_fit(
                 _complain(f"what was computed is kept: {_go_on(task)}")
             raise
         if progress is not None:
-            progress.end()
+            # A line between the iterations and the table, where both are on one screen.
+            typer.echo("", err=True)
         files = write_or_print(result, ready.runs, task.out)
         journal.settle(result)
         goes_on = journal.path.exists()
         if not goes_on:
             forget_starts(task.out)
-    if not (as_json or quiet):
+    if shown:
         show_result(result, task.definition)
         if before is not None:
             print(f"{'again':<20}{compared(result, before)}")
@@ -350,17 +327,16 @@ def run_fit(
     if figures:
         files += write_figures(result, ready.runs, task.out, held_out=ready.held_out_runs)
     if self_test:
-        files += repeated_fit(result, ready.runs, task.out, shown=not (as_json or quiet))
+        files += repeated_fit(result, ready.runs, task.out, shown=shown)
     if report:
-        page = report_page(
-            asked, ready.runs, held_out=ready.held_out_runs, source=task.out / "result.json"
-        )
+        source, held_out = task.out / "result.json", ready.held_out_runs
+        page = report_page(asked, ready.runs, held_out=held_out, source=source)
         write_files({task.out / PAGE: page}, force=True)
         files.append(task.out / PAGE)
-    if not (as_json or quiet):
+    if shown:
         say_written(files[0].parent, [path.name for path in files])
         if goes_on:
-            print(f"\n{_go_on(task)}{_with_more(result)}")
+            print(f"\n{_go_on(task, result)}")
         if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
             print(f"\n{hint}")
     if strict and result.verdict.status == "inadequate":
@@ -368,17 +344,14 @@ def run_fit(
     return _STATUS.get(result.status, stopped_status())
 
 
-def _go_on(task: "FitTask") -> str:
+def _go_on(task: "FitTask", result: "FitResult | None" = None) -> str:
     """How a fit that was stopped is gone on with."""
-    return f"to go on with it: giajax fit --resume {shlex.quote(str(task.out))}"
-
-
-def _with_more(result: "FitResult") -> str:
-    """The option without which a fit that had its iterations would end again at once."""
-    if result.status != "not_converged" or "budget_s" in result.config:
-        return ""
-    return f" --max-iterations {2 * result.config['max_iterations']}"
+    how = f"to go on with it: giajax fit --resume {shlex.quote(str(task.out))}"
+    # A fit that had its iterations would end again at once.
+    if result and result.status == "not_converged" and "budget_s" not in result.config:
+        how += f" --max-iterations {2 * result.config['max_iterations']}"
+    return how
 
 
 def _complain(sentence: str) -> None:
-    typer.echo(f"giajax: {sentence}", err=True)
+    _say(f"giajax: {sentence}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..runtime.process import configure
 from ..runtime.text import InputError
 from ._commands import Texts, command
 from ._options import Digits, Force, ForceRun, Renamed, print_table, say_written, write_folder
@@ -52,14 +53,10 @@ def joint(
 
     sections = Definition() if definition is None else Definition.load(definition)
     angles = list(angle or _ANGLES)
-    for option, degrees in (("--angle", angles), ("--target", [target])):
-        for value in degrees:
-            if not -60 <= value <= 60:
-                raise InputError(f"{option} is {value:g}: give an angle from -60 to 60 deg")
+    for option, value in (*(("--angle", value) for value in angles), ("--target", target)):
+        if not -60 <= value <= 60:
+            raise InputError(f"{option} is {value:g}: give an angle from -60 to 60 deg")
     values = settings(pairs)
-
-    from ..runtime.process import configure
-
     configure()
     from ..apps.joint import JOINT_FILES, joint_files
 
@@ -77,9 +74,18 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
     from ..models import MuscleModel, joint_from_section
     from ..schema import MuscleSection
 
-    _refuse_unused(sections)
-    muscle = MuscleModel.from_section(sections.section(MuscleSection)).muscle
-    pair = JointPair(joint_from_section(sections), muscle)
+    muscle = sections.section(MuscleSection)
+    unused = {
+        "length_m": "length" in muscle.values(),
+        "friction": muscle.friction not in (None, "none"),
+        "friction_pressures_kPa": muscle.friction_pressures_kPa is not None,
+    }
+    for key in (key for key, is_there in unused.items() if is_there):
+        raise InputError(
+            f"[muscle] {key} is not used here: the length is muscle_length_m of [joint], and "
+            "a pair has no friction: remove it"
+        )
+    pair = JointPair(joint_from_section(sections), MuscleModel.from_section(muscle).muscle)
     if torque is not None and not 0 < torque < math.inf:
         raise InputError(f"--torque is {torque:g}: give a positive number of N m")
     values = {} if torque is None else {"joint.torque": [torque]}
@@ -89,24 +95,6 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
     pair = with_settings(pair, values)
     check_geometry(pair.joint.geometry)
     return pair
-
-
-def _refuse_unused(sections: "Definition") -> None:
-    """Refuse what a [muscle] section says and a joint does not use."""
-    from ..schema import MuscleSection
-
-    muscle = sections.section(MuscleSection)
-    unused = {
-        "length_m": "length" in muscle.values(),
-        "friction": muscle.friction not in (None, "none"),
-        "friction_pressures_kPa": muscle.friction_pressures_kPa is not None,
-    }
-    for key, is_there in unused.items():
-        if is_there:
-            raise InputError(
-                f"[muscle] {key} is not used here: the length is muscle_length_m of [joint], and "
-                "a pair has no friction: remove it"
-            )
 
 
 def _show(pair: Any, target: float) -> None:
@@ -122,34 +110,23 @@ def _show(pair: Any, target: float) -> None:
         ("inner wire taut", "never" if np.isnan(taut) else f"above {taut:.2f} deg"),
         ("outer muscle wraps", "never" if np.isnan(wrapped) else f"below {wrapped + 0.0:.2f} deg"),
     ]
-    for name, answer in sides.items():
-        rows.append(
-            (f"{name} muscle", f"{float(answer.pressure) / 1e3:.2f} kPa, {answer.message()}")
-        )
+    for name, side in sides.items():
+        shown = f"{float(side.pressure) / 1e3:.2f} kPa, {side.message()}"
+        rows.append((f"{name} muscle", shown))
     print_table(["", f"for {target:g} deg"], rows, left=2)
     print()
     rests = equilibria(pair, command.pressures)
     headings = ["equilibrium (deg)", "", "stiffness (N m/rad)", "first muscle", "second muscle"]
-    cells = [
-        (
-            f"{np.rad2deg(item.angle) + 0.0:.2f}",
-            "stable" if item.stable else "unstable",
-            f"{item.stiffness:.3g}",
-            *item.branches,
-        )
-        for item in rests.every
-    ]
+    cells = []
+    for one in rests.every:
+        angle, word = np.rad2deg(one.angle) + 0.0, "stable" if one.stable else "unstable"
+        cells.append((f"{angle:.2f}", word, f"{one.stiffness:.3g}", *one.branches))
     print_table(headings, cells, left=5)
-    notes = {
-        "the torque also drives the joint against its stop at -60 deg": rests.at_lower_stop,
-        "the torque also drives the joint against its stop at 60 deg": rests.at_upper_stop,
-        "in a range of angles nothing acts on the joint: it rests at any of them": (
-            rests.indifferent
-        ),
-    }
-    for note, holds in notes.items():
-        if holds:
-            print(note)
+    for end, is_there in ((-60, rests.at_lower_stop), (60, rests.at_upper_stop)):
+        if is_there:
+            print(f"the torque also drives the joint against its stop at {end} deg")
+    if rests.indifferent:
+        print("in a range of angles nothing acts on the joint: it rests at any of them")
 
 
 @command("""\b
@@ -164,9 +141,7 @@ def compensate(
     target: Annotated[Path, "RUN.csv", "The target outputs."],
     out: Annotated[Path, "RUN.csv", "The commands to write."],
     model: Annotated[Path | None, "RESULT", "A fit (result.json or its folder) to invert."] = None,
-    loop: Annotated[
-        Path | None, "RUN.csv", "A measured loop for eq. (12), instead of a fit."
-    ] = None,
+    loop: Annotated[Path | None, "RUN.csv", "A measured loop for eq. (12), not a fit."] = None,
     travel: Annotated[
         float | None,
         "X",
@@ -197,25 +172,20 @@ def compensate(
     renamed = parse_rename(rename or [])
     definition = Definition.parse({"model": HYSTERESIS.name})
     plan = read_run(target, rename=renamed, definition=definition)
-
-    from ..runtime.process import configure
-
     configure()
     from ..apps.control import compensator_for_loop, compensator_for_model, target_channel
     from ..fitting import load_result
 
-    goal = target_channel(plan)
+    goal, fitted = target_channel(plan), None
     if model is not None:
         fitted = load_result(model).model
-        compensator = compensator_for_model(fitted)
-        origin = f"commands by giajax compensate, inverse of {model}, for {target.name}"
+        compensator, how = compensator_for_model(fitted), f"inverse of {model}"
     else:
         assert loop is not None
-        if travel is not None:
-            travel = float(goal.to_si(travel))
-        compensator = compensator_for_loop(read_run(loop, rename=renamed), travel)
-        fitted = None
-        origin = f"commands by giajax compensate, eq. (12) from {loop.name}, for {target.name}"
+        across = None if travel is None else float(goal.to_si(travel))
+        compensator = compensator_for_loop(read_run(loop, rename=renamed), across)
+        how = f"eq. (12) from {loop.name}"
+    origin = f"commands by giajax compensate, {how}, for {target.name}"
     commands = compensator.commands_for(plan)
     channel = compensator.input_channel
     # Commands in the unit of the target, where both are angles.

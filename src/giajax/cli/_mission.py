@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..runtime.process import configure
 from ..runtime.text import InputError
 from ._commands import Texts, argument, command
-from ._options import Force, Json, origin, print_table, write_folder
-from ._values import settings, with_settings
+from ._options import Force, Json, origin, print_table, say_written, write_folder
+from ._values import numbers, settings, with_settings
 
 if TYPE_CHECKING:
     from ..apps.mission import Cases, Mission, Outcome
@@ -33,17 +34,12 @@ def tell(
     if as_json:
         typer.echo(mission_json(mission, outcome))
         return
-    rows = [
-        (
-            each.obstacle,
-            ", ".join(map(str, each.links)) or None,
-            f"{each.duration:.1f}" if each.links else None,
-            f"{1e3 * each.flattening:.1f}" if each.links else None,
-            f"{each.force:.2f}" if each.links else None,
-            f"{each.impulse:.2f}" if each.links else None,
-        )
-        for each in outcome.touched
-    ]
+    rows = []
+    for each in outcome.touched:
+        numbers = (each.duration, 1e3 * each.flattening, each.force, each.impulse)
+        shown = [f"{n:.{d}f}" for n, d in zip(numbers, (1, 1, 2, 2), strict=True)]
+        cells = [", ".join(map(str, each.links)), *shown] if each.links else [None] * 5
+        rows.append([each.obstacle, *cells])
     print_table(["obstacle", "links", "for s", "flattened mm", "most N", "N s"], rows)
     wind = mission.section.wind.speed_m_per_s
     if outcome.reached is None:
@@ -57,26 +53,12 @@ def tell(
         typer.echo(f"wrote {shlex.quote(str(out))}; see: giajax view {out / 'run.csv'}")
 
 
-def show(mission: "Mission", outcome: "Outcome", page: Path, *, force: bool) -> None:
-    """Write a page that plays a mission."""
-    from ..apps.mission import motion
-    from ..apps.viewer import Show, recording
-    from ..models import arm_scene
-    from ..recordings import write_files
-
-    content = recording([Show("mission", arm_scene(motion(mission, outcome)))])
-    write_files({page: content}, force=force)
-    typer.echo(f"wrote {page} ({len(content) / 1e6:.1f} MB): open it in a browser", err=True)
-
-
 def tell_cases(
     mission: "Mission", cases: "Cases", out: Path | None, *, as_json: bool, force: bool
 ) -> None:
     """Tell and write what came of many missions."""
     from ..apps.mission import CASES_FILES, cases_files, cases_json
 
-    if not cases.cases:
-        return
     if out is not None:
         write_folder(out, cases_files(mission, cases), force=force)
     if as_json:
@@ -97,7 +79,7 @@ def tell_cases(
     print_table(headings, rows)
     typer.echo(f"\n{cases.seconds:.2f} s for each")
     if out is not None:
-        typer.echo(f"wrote {shlex.quote(str(out))}: {', '.join(CASES_FILES)}")
+        say_written(out, CASES_FILES)
 
 
 _RUN = ("run.csv", "run.toml")
@@ -150,9 +132,12 @@ def mission(
     As in the paper's mock-up: gusts, joints that remember, a late picture, a time limit. Once, as
     a run that `giajax view` plays, or many times: success against the speed of the air.
     """
-    from ..recordings import Definition, check_output_files, check_output_folder
+    from ..recordings import Definition, check_output_files, check_output_folder, write_files
 
-    numbers = _numbers(speeds)
+    flown_at = numbers(speeds)
+    if flown_at is None or min(flown_at) < 0:
+        raise InputError(f"--speeds is '{speeds}': give numbers of at least 0, such as 0,0.1,0.2")
+    flown_at = list(dict.fromkeys(flown_at))
     if speed is not None and not 0 <= speed < math.inf:
         raise InputError(f"--speed is {speed:g}: give a number of at least 0")
     for option, given in (("--speed", speed), ("--page", page), ("--case", case)):
@@ -162,11 +147,8 @@ def mission(
         check_output_files([page], force=force)
     values = settings(pairs)
     definition = Definition.load(file)
-
-    from ..runtime.process import configure
-
     configure()
-    from ..apps.mission import CASES_FILES, MISSION_FILES, Mission, fly_cases
+    from ..apps.mission import CASES_FILES, MISSION_FILES, Mission, fly_cases, motion
 
     if out is not None:
         names = (*MISSION_FILES, *_RUN) if cases is None else CASES_FILES
@@ -174,10 +156,11 @@ def mission(
     planned = Mission.from_definition(definition, str(file))
     planned = planned.with_model(with_settings(planned.model, values))
     if cases is not None:
-        done = fly_cases(planned, numbers, cases, seed=seed, on_case=_progress())
-        tell_cases(planned, done, out, as_json=as_json, force=force)
-        if len(done.cases) < cases * len(numbers):
-            typer.echo(f"stopped after {len(done.cases)} of {cases * len(numbers)}", err=True)
+        done = fly_cases(planned, flown_at, cases, seed=seed, on_case=_progress())
+        if done.cases:
+            tell_cases(planned, done, out, as_json=as_json, force=force)
+        if len(done.cases) < cases * len(flown_at):
+            typer.echo(f"stopped after {len(done.cases)} of {cases * len(flown_at)}", err=True)
             raise typer.Exit(130)
         return
     if speed is not None:
@@ -190,26 +173,19 @@ def mission(
     outcome = flown.fly(seed if case is None else case, drawn=planned)
     tell(flown, outcome, out, origin(context), as_json=as_json, force=force)
     if page is not None:
-        show(flown, outcome, page, force=force)
+        from ..apps.viewer import Show, recording
+        from ..models import arm_scene
 
-
-def _numbers(text: str) -> list[float]:
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = [math.nan]
-    if not all(0 <= number < math.inf for number in numbers):
-        raise InputError(f"--speeds is '{text}': give numbers of at least 0, such as 0,0.1,0.2")
-    return list(dict.fromkeys(numbers))
+        content = recording([Show("mission", arm_scene(motion(flown, outcome)))])
+        write_files({page: content}, force=force)
+        typer.echo(f"wrote {page} ({len(content) / 1e6:.1f} MB): open it in a browser", err=True)
 
 
 def _progress() -> Callable[[int, int], None] | None:
     """Says how many were flown, where somebody watches."""
-    if not sys.stderr.isatty():
-        return None
 
     def say(done: int, whole: int) -> None:
         end = "\n" if done == whole else ""
         print(f"\rflown {done} of {whole}", end=end, file=sys.stderr, flush=True)
 
-    return say
+    return say if sys.stderr.isatty() else None

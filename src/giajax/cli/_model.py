@@ -1,11 +1,13 @@
 """`giajax parameters` and `predict`, and what `--model` names in every command alike."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..runtime.process import configure
 from ..runtime.text import InputError
 from ._commands import argument, command
 from ._options import ForceFile, Json, OnlyChannels, Renamed, print_table
@@ -22,23 +24,17 @@ def is_result(path: Path) -> bool:
 
 
 def definition_of(path: Path | None) -> "Definition":
-    """What a file that states a model says on top of the sidecars; nothing of a fit.
+    """What a file that states a model says on top of the sidecars; nothing of a fit."""
+    from ..recordings import Definition, stored_result
 
-    Raises:
-        InputError: there is no such file, or it is not legal.
-    """
-    from ..recordings import Definition
-
-    if path is not None and not path.exists():
+    if path is None:
+        return Definition()
+    if not path.exists():
         raise InputError(
             f"{path} does not exist: give the folder of a fit, its result.json, or a TOML file "
             "that states a model"
         )
-    if path is None:
-        return Definition()
     if is_result(path):
-        from ..recordings import stored_result
-
         # What is no result is refused before JAX is imported, which takes seconds.
         stored_result(path)
         return Definition()
@@ -73,9 +69,7 @@ with the value listed.
 An array has one element for each link or joint; links.mass[0] is its first one.
 'assumed': the paper gives no figure, and a fit should find one.""")
 def parameters(
-    run: Annotated[
-        Path | None, argument("[RUN]", "List those of the model of this run. [the arm]")
-    ] = None,
+    run: Annotated[Path | None, argument("[RUN]", "A run whose model it is. [the arm]")] = None,
     arm: Annotated[Path | None, "FILE.toml", "The arm, and its sensors, of this file."] = None,
     preset: Annotated[str | None, "NAME", "Preset of the arm. [takeichi_20m]"] = None,
     links: Annotated[int | None, "N", "Number of links of the arm."] = None,
@@ -94,11 +88,7 @@ def parameters(
     options = {"preset": preset, "links": links}
     section = {key: value for key, value in options.items() if value is not None}
     definition = definition.merged_with(Definition.parse({"arm": section}, "the command line"))
-
-    from ..runtime.process import configure
-
     configure()
-
     from ..fitting import units_in_si
     from ..models import (
         AbstractModel,
@@ -113,18 +103,16 @@ def parameters(
     if recorded is not None:
         model = model_for([recorded])
     else:
-        model = ArmModel(
-            arm_from_definition(definition), sensors=sensors_from_definition(definition)
-        )
+        sensors = sensors_from_definition(definition)
+        model = ArmModel(arm_from_definition(definition), sensors=sensors)
     known = [*declared(model).values(), *left_out(model).values()]
     units = units_in_si(model)
     facts = [_facts(parameter, units[parameter.path], model) for parameter in known]
     if as_json:
-        import json
-
         typer.echo(json.dumps(facts, indent=2, allow_nan=False))
-    else:
-        _show(facts)
+        return
+    headings = ["parameter", "unit", "value", "bounds", "in a fit", "elements", "", "meaning"]
+    print_table(headings, [_row(fact) for fact in facts], left=len(headings))
 
 
 def _facts(parameter: "Parameter", unit: str, model: Any) -> dict[str, Any]:
@@ -149,11 +137,6 @@ def _facts(parameter: "Parameter", unit: str, model: Any) -> dict[str, Any]:
         "source": declaration.source or None,
         "key": None if declaration.key is None else declaration.key.name,
     }
-
-
-def _show(facts: list[dict[str, Any]]) -> None:
-    headings = ["parameter", "unit", "value", "bounds", "in a fit", "elements", "", "meaning"]
-    print_table(headings, [_row(fact) for fact in facts], left=len(headings))
 
 
 def _row(fact: dict[str, Any]) -> list[Any]:
@@ -183,13 +166,10 @@ def _value(fact: dict[str, Any]) -> str:
 
 
 def _bounds(lower: float | None, upper: float | None) -> str:
-    if lower is None and upper is None:
-        return "any"
-    if lower is None:
-        return f"below {upper:g}"
-    if upper is None:
-        return f"above {lower:g}"
-    return f"{lower:g} to {upper:g}"
+    if lower is not None and upper is not None:
+        return f"{lower:g} to {upper:g}"
+    above = "any" if lower is None else f"above {lower:g}"
+    return above if upper is None else f"below {upper:g}"
 
 
 @command("""\b
@@ -205,9 +185,7 @@ other section) states a model with all its parameters.""")
 def predict(
     model: Annotated[Path, "MODEL", "What predicts; see below."],
     data: Annotated[list[Path], "RUN.csv", "A recorded run."],
-    against: Annotated[
-        Path | None, "MODEL", "Another model, and the ratio of their errors."
-    ] = None,
+    against: Annotated[Path | None, "MODEL", "Another model, and the ratio of errors."] = None,
     config: Annotated[
         Path | None,
         "FILE.toml",
@@ -242,9 +220,6 @@ def predict(
     if channels:
         sections["fit"] = {**sections.get("fit", {}), "channels": channels}
     settings = Definition.parse(sections, "the command line")
-
-    from ..runtime.process import configure
-
     configure()
     from ..studies import compare
 
@@ -256,14 +231,22 @@ def predict(
     runs = runs_for(model)
     ours = model_of(model, runs)
     other = None if against is None else model_of(against, runs_for(against))
-    headings = ["run", "channel", "unit", "values", "RMSE", "largest"]
-    if against is not None:
-        headings += ["RMSE of the other", "ratio"]
+    headings = ["run", "channel", "unit", "values", "RMSE", "largest", "RMSE of the other", "ratio"]
     rows: list[list[Any]] = [
-        [one.run, one.channel, one.unit, one.n, one.rmse, one.largest]
-        + ([] if against is None else [one.reference_rmse, one.ratio])
+        [
+            one.run,
+            one.channel,
+            one.unit,
+            one.n,
+            one.rmse,
+            one.largest,
+            one.reference_rmse,
+            one.ratio,
+        ]
         for one in compare(ours, runs, other, refit_initial=refit_initial)
     ]
+    if against is None:
+        headings, rows = headings[:-2], [row[:-2] for row in rows]
     print_table(headings, rows, left=3)
     if out is not None:
         lines = [",".join(str(cell) for cell in row) for row in [headings, *rows]]

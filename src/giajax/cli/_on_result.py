@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..runtime.process import configure
 from ..runtime.text import InputError
 from ._commands import Paths, argument, command, with_signature
 from ._options import (
@@ -35,10 +36,7 @@ _RESULT = Annotated[Path, argument("RESULT", "A fit; see below.")]
 
 @dataclasses.dataclass(frozen=True)
 class OnResult:
-    """What a command on a result is given, by the names of its options.
-
-    Those that the command does not have are as they are here.
-    """
+    """What a command on a result is given, by option, or as it is here where it has none."""
 
     result: Path
     data: list[Path] | None = None
@@ -70,8 +68,6 @@ class OnResult:
     def fitted(self) -> "FitResult":
         """The result; what can be refused without JAX is refused first."""
         _ = self.home, self.renamed
-        from ..runtime.process import configure
-
         configure()
         from ..fitting import load_result
 
@@ -87,10 +83,7 @@ class OnResult:
     def computed(self, study: Callable[..., Any], what: str, **settings: Any) -> Any:
         """What a study of the fit finds, by the workers that were asked for.
 
-        Arguments:
-            study: of `giajax.studies`, which takes a result, its runs, and an executor.
-            what: its tasks are called.
-            settings: of the study, in place of `folder` and `progress` too.
+        Its tasks are called `what`; settings may also stand for `folder` and `progress`.
         """
         from ..runtime.execution import open_executor
 
@@ -102,10 +95,7 @@ class OnResult:
     def record(self, study: str, *, most: int | None = None, **settings: Any) -> None:
         """Compute a record, write it beside the result, with its picture, and show it.
 
-        Arguments:
-            study: name of a function of `giajax.studies`, and of the file: `STUDY.json`.
-            most: rows of the table.
-            settings: of the study.
+        The study is a function of `giajax.studies`; the file is `STUDY.json`.
         """
         from ..recordings import check_output_files
 
@@ -133,7 +123,7 @@ class OnResult:
             typer.echo(found.to_json(), nl=False)
         elif not self.quiet:
             show(found, self.fitted, most)
-            show_files(files)
+            say_written(next(iter(files)).parent, [path.name for path in files])
 
 
 def record_files(
@@ -159,12 +149,6 @@ def show(found: Any, result: "FitResult", most: int | None = None) -> None:
     print("\n" + "\n".join(view.sentences(found, most)))
 
 
-def show_files(files: Mapping[Path, bytes]) -> None:
-    """Print where files of one folder are."""
-    (folder,) = {path.parent for path in files}
-    say_written(folder, [path.name for path in files])
-
-
 def on_result(
     examples: str,
     *,
@@ -178,11 +162,8 @@ def on_result(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a function of `OnResult` and its own options a command on a result.
 
-    Arguments:
-        examples: at the end of its help.
-        workers: whether it has tasks, which workers may do.
-        folder, figures, force, as_json, quiet: what the help says of these options; None for none.
-        out: what it writes, and what the help says of it.
+    The options `folder`, `figures`, `force`, `as_json` and `quiet` are what the help says of them,
+    and there are none without; `out` also what it writes. It has `workers` where it has tasks.
     """
     shared: list[tuple[str, Any, Any]] = [
         ("data", Annotated[Paths, "RUN.csv", "A fitted run, if it has moved."], None),

@@ -96,8 +96,8 @@ def say_written(out: Path, names: Iterable[str]) -> None:
     where = "" if out == Path() else f"{shlex.quote(str(out))}: "
     wrote, width = f"wrote {where}{', '.join(names)}", terminal_width()
     if width is not None:
-        whole = {"break_long_words": False, "break_on_hyphens": False}
-        wrote = textwrap.fill(wrote, width, subsequent_indent="  ", **whole)
+        wrapper = textwrap.TextWrapper(width, subsequent_indent="  ", break_on_hyphens=False)
+        wrote = wrapper.fill(wrote)
     typer.echo(f"\n{wrote}")
 
 
@@ -118,12 +118,16 @@ def say_progress(quiet: bool) -> Callable[[str], None] | None:
     return None if quiet else (lambda text: typer.echo(text, err=True))
 
 
-def say_served(address: str, is_open: bool, whoever: str, end: str) -> None:
-    """Say where a page is, what somebody else could do with the address, and how it ends."""
-    typer.echo(f"open {address}")
-    if is_open:
+def say_served(page: Any, whoever: str, end: str, *, browser: bool) -> None:
+    """Say where a page is, what somebody else could do with its address, and how it ends."""
+    from ..apps.viewer import open_in_browser
+
+    typer.echo(f"open {page.address}")
+    if page.is_open:
         typer.echo(f"whoever has this address {whoever}, from other machines, too")
     typer.echo(f"Ctrl-C {end}")
+    if browser:
+        open_in_browser(page.address)
 
 
 def origin(context: typer.Context) -> str:
@@ -156,6 +160,12 @@ STARTS = "starts"
 # A line so often; for the first tasks, whose programs are compiled, none says how long it takes.
 _BETWEEN_S = 5.0
 _LEAST = 2
+
+
+def stop_if_asked(_: Any) -> None:
+    """Stop what was signalled, where the exception was lost, as in a callback of a library."""
+    if is_stopped():
+        raise KeyboardInterrupt
 
 
 def end_if_stopped(folder: Path | None) -> None:

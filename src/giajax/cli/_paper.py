@@ -11,7 +11,7 @@ from ..runtime.process import configure
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import Ended, argument, command
-from ._options import Force, print_table, write_folder
+from ._options import Force, print_table, say_progress, say_written, write_folder
 
 # As `giajax.apps.paper` has them, which would import JAX for a help text.
 NAMES = ("fig5", "fig6", "fig9", "fig10", "fig12", "fig19", "table3")
@@ -60,7 +60,6 @@ def paper(
     names: tuple[str, ...] = (INVERSE,) if inverse else NAMES if name == _ALL else (name,)
     if name != _ALL:
         check_output_folder(out, _files(names), force=force)
-
     configure()
     from ..apps.paper import is_reproduction_page, reproduction_page, stored_record
 
@@ -90,7 +89,6 @@ def paper(
 
 
 def _files(names: Iterable[str]) -> list[str]:
-    """As `giajax.apps.paper` has them."""
     return [f"{each}.{ending}" for each in names for ending in ("png", "csv", "json")]
 
 
@@ -101,10 +99,9 @@ def _made(
     from ..apps.paper import reproduce, reproduced_files, reproduced_record
     from ._data import examples_root
 
-    progress = None if quiet else (lambda text: typer.echo(text, err=True))
     made = {}
     recordings = examples_root() / "data" / "paper"
-    for each, shown in reproduce(names, recordings, progress=progress):
+    for each, shown in reproduce(names, recordings, progress=say_progress(quiet)):
         write_folder(out, reproduced_files(each, shown), force=force)
         made[each] = reproduced_record(each, shown)
         print(shown.title)
@@ -137,29 +134,21 @@ def hysteresis(
     """
     if not 0 < travel < math.inf:
         raise typer.BadParameter(f"--travel is {travel:g} deg: give a positive number")
-
     configure()
     from ..apps.experiments import ONE_LINK_FILES, SimulatedJoint, one_link, write_one_link
     from ..recordings import check_output_folder
 
     check_output_folder(out, ONE_LINK_FILES, force=force)
-    progress = None if quiet else (lambda text: typer.echo(text, err=True))
-    study = one_link(SimulatedJoint(seed=seed), travel=math.radians(travel), progress=progress)
+    joint, progress = SimulatedJoint(seed=seed), say_progress(quiet)
+    study = one_link(joint, travel=math.radians(travel), progress=progress)
     rows = []
     for trial in study.trials:
         none = study.trial(trial.history.name, "none")
-        rows.append(
-            [
-                trial.history.name,
-                trial.compensation,
-                f"{trial.mean:.2f}",
-                f"{trial.largest:.2f}",
-                f"{trial.mean / none.mean:.0%}",
-                f"{trial.largest / none.largest:.0%}",
-            ]
-        )
+        errors = [f"{trial.mean:.2f}", f"{trial.largest:.2f}"]
+        shares = [f"{trial.mean / none.mean:.0%}", f"{trial.largest / none.largest:.0%}"]
+        rows.append([trial.history.name, trial.compensation, *errors, *shares])
     headings = ["history", "compensation", "mean error deg", "largest deg", "of none", "of none"]
     print_table(headings, rows, left=2)
     files = write_one_link(study, out, force=force)
     if not quiet:
-        print(f"\nwrote {out}: {', '.join(path.name for path in files)}")
+        say_written(out, [path.name for path in files])

@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,8 +11,8 @@ from ..runtime.limits import RESULT_BYTES
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import Ended, Texts, argument
-from ._on_result import OnResult, on_result, record_files, show, show_files
-from ._options import ManyProgress
+from ._on_result import OnResult, on_result, record_files, show
+from ._options import ManyProgress, say_written, write_folder
 
 if TYPE_CHECKING:
     from ..fitting import FitResult
@@ -66,8 +66,7 @@ def profile(
         check_output_files([path.with_suffix(".png")], force=given.force)
     if not given.quiet:
         typer.echo("compiling ...", err=True)
-    known = None if given.force else before
-    settings = {"paths": paths or None, "level": level, "known": known}
+    settings = {"paths": paths or None, "level": level, "known": None if given.force else before}
     found = given.computed(profile_of, "sides of profiles", **settings)
     whole = {name: one for name, one in found.profiles.items() if one.complete}
     stopped = len(whole) < len(found.profiles)
@@ -81,11 +80,7 @@ def profile(
 
 
 def _before(path: Path, result: "FitResult", level: float, *, force: bool) -> "Profiles | None":
-    """The profiles that are there of this fit.
-
-    Raises:
-        InputError: those that are there are of another fit or level, and may not be written over.
-    """
+    """The profiles that are there of this fit; others are refused unless they may be lost."""
     from ..studies import load_profiles
 
     if not path.exists():
@@ -133,7 +128,7 @@ def posterior(
 
     Intervals that need no straight line: near a bound, along a bent valley, with priors.
     """
-    from ..recordings import check_output_folder, make_folder, write_files
+    from ..recordings import check_output_folder, make_folder
 
     fitted = given.fitted
     from ..report import POSTERIOR, POSTERIOR_FILES, posterior_files
@@ -145,16 +140,14 @@ def posterior(
     check_output_folder(folder, POSTERIOR_FILES, force=force)
     runs = given.runs
     make_folder(folder)
-    progress = None
+    settings: dict[str, Any] = {"chains": chains, "draws": draws, "warmup": warmup, "seed": seed}
+    settings |= {"folder": folder / "posterior_chains", "progress": None}
     if not given.quiet:
         typer.echo("compiling ...", err=True)
-        progress = ManyProgress("transitions").after
-    settings = {"chains": chains, "draws": draws, "warmup": warmup, "seed": seed}
-    kept = folder / "posterior_chains"
-    found = given.computed(draw, "chains", folder=kept, progress=progress, **settings)
+        settings["progress"] = ManyProgress("transitions").after
+    found = given.computed(draw, "chains", **settings)
     contents = posterior_files(found, fitted, runs)
-    files = {folder / name: data for name, data in contents.items()}
-    write_files(files, force=True)
+    write_folder(folder, contents, force=True)
     # Draws in the other format are those of an earlier call.
     for name in set(POSTERIOR_FILES) - contents.keys():
         (folder / name).unlink(missing_ok=True)
@@ -162,7 +155,7 @@ def posterior(
         typer.echo(found.summary.to_json(), nl=False)
     else:
         show(found.summary, fitted)
-        show_files(files)
+        say_written(folder, contents)
     if is_stopped():
         raise Ended(stopped_status())
 

@@ -59,23 +59,16 @@ def self_test(
 ) -> list[Path]:
     """Repeat a fit that has just ended, write it beside the result and show it.
 
-    Arguments:
-        result, runs: the fit.
-        folder: of its files.
-        shown: whether a person reads.
-
-    Returns:
-        The files; none where nothing could be repeated, which a sentence says.
+    No files are written where nothing could be repeated, which a sentence says.
     """
     from ..recordings import write_files
     from ..studies import bootstrap as repeat
 
     if shown:
         typer.echo("\nself-test: the fit repeated with noise drawn anew", err=True)
+    progress = ManyProgress("parts") if shown else None
     try:
-        found = repeat(
-            result, runs, size=_SELF_TEST, progress=ManyProgress("parts") if shown else None
-        )
+        found = repeat(result, runs, size=_SELF_TEST, progress=progress)
     except InputError as error:
         typer.echo(f"giajax: no self-test: {error}", err=True)
         return []

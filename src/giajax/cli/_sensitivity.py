@@ -2,13 +2,22 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
+from ..runtime.process import configure
 from ..runtime.text import InputError
 from ._commands import Texts, argument, command
-from ._options import Force, Links, Replayed, Settings, Wind, print_table, say_written, write_folder
+from ._options import (
+    Force,
+    Links,
+    Replayed,
+    Settings,
+    Wind,
+    failed_simulation,
+    print_table,
+    say_written,
+    write_folder,
+)
 from ._simulate import (
     DURATION,
     channel_names,
@@ -29,9 +38,8 @@ if TYPE_CHECKING:
     from ..studies import Sensitivity
 
 _RATE = 10.0
-_NOISE = 0.01
-_NOISE_PIXEL = 2.0
-_NOISE_ANGLE = 0.5
+# Of what is recorded, SI, by the beginning of its quantity; "angle" has a rate, too.
+_NOISE = {"length": 0.01, "ang": math.radians(0.5), "pixel": 2.0}
 _DEFAULT_RAMP = "1=30"
 _FILES = ("sensitivity.png", "sensitivity.csv", "information.csv")
 
@@ -51,9 +59,7 @@ Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.
 def sensitivity(
     parameter: Annotated[list[str], "PATH", "A parameter ('giajax parameters')."],
     out: Annotated[Path, "DIR", "Folder for picture and tables."],
-    run: Annotated[
-        Path | None, argument("[RUN.csv]", "A run of any model, as it was recorded.")
-    ] = None,
+    run: Annotated[Path | None, argument("[RUN.csv]", "A run of any model, as recorded.")] = None,
     arm: Annotated[Path | None, "FILE.toml", "The arm: [arm] of this file."] = None,
     links: Links = None,
     pairs: Settings = None,
@@ -63,9 +69,7 @@ def sensitivity(
     wind: Wind = None,
     duration: Annotated[float | None, "S", "Length of the run, s. [25]"] = None,
     rate: Annotated[float | None, "HZ", "Samples per second. [10]"] = None,
-    channels: Annotated[
-        Texts, "CHANNELS", "What is recorded: link06, tip, joints, all. [all]"
-    ] = None,
+    channels: Annotated[Texts, "CHANNELS", "Recorded: link06, tip, joints, all. [all]"] = None,
     noise: Annotated[
         Texts,
         "KEY=VALUE",
@@ -80,9 +84,7 @@ def sensitivity(
     """
     from ..recordings import check_output_folder, read_run
 
-    section = noise_section(noise, "--noise")
-    if not all(value > 0 for value in section.values()):
-        raise InputError("--noise is 0, but no recording is exact: give a positive number")
+    section = noise_section(noise, "--noise", positive=True)
     check_output_folder(out, _FILES, force=force)
     typed = settings(pairs)
     again = (arm, step, ramp, command, wind, links, duration, rate)
@@ -91,24 +93,13 @@ def sensitivity(
     recorded = None if run is None else read_run(run)
     sections = definition_from_options(arm, links, wind)
     replayed = replayed_run(command, sections, step or ramp)
-
-    from ..runtime.process import configure
-
     configure()
-
     from ..apps.synthetic import Drive, planned, sampled
     from ..models import model_for, parameter_values
     from ..recordings import Definition
     from ..report import information_shares, sensitivity_figure, sensitivity_files, to_png
-    from ..schema import (
-        ArmSection,
-        CamerasSection,
-        InitialSection,
-        LandmarksSection,
-        SensorsSection,
-    )
+    from ..schema import InitialSection
     from ..schema.parameters import replace
-    from ..simulation import SimulationError
     from ..studies import sensitivity as along
 
     model: AbstractModel
@@ -117,7 +108,7 @@ def sensitivity(
         model = with_settings(model_for([recorded]), typed)
         names = channels
     else:
-        arm_model, _ = model_and_truth(sections, pairs or [], "tsit5", 1e-8)
+        arm_model, _ = model_and_truth(sections, typed, "tsit5", 1e-8)
         count, drives = arm_model.arm.count, list[Drive]()
         start, length = 0.0, DURATION
         if replayed is not None:
@@ -132,20 +123,15 @@ def sensitivity(
             drives, start=start, duration=duration or length, rate=rate or _RATE
         )
         names = channel_names(channels or ["all"], count)
-        facts["arm"] = sections.section(ArmSection).contents()
-        facts["sensors"] = sections.section(SensorsSection).contents()
-        facts["camera"] = sections.section(CamerasSection).contents()
-        facts["landmark"] = sections.section(LandmarksSection).contents()
+        for name in ("arm", "sensors", "camera", "landmark"):
+            facts[name] = sections.contents().get(name)
         definition = Definition.parse({k: v for k, v in facts.items() if v}, "sensitivity")
         recorded = planned(
             times, inputs, links=count, channels=names, definition=definition.contents()
         )
         model = replace(model_for([recorded]), parameter_values(arm_model))
-    try:
+    with failed_simulation(" (option --set)"):
         sensitivities = along(model, recorded, parameter, names)
-    except SimulationError as error:
-        typer.echo(f"giajax: {error} (option --set)", err=True)
-        raise typer.Exit(1) from None
     noises = _noise_of(recorded, sensitivities.channels, section)
     files = {name: text.encode() for name, text in sensitivity_files(sensitivities, noises).items()}
     title = f"{recorded.name}: sensitivity, and the information in each body"
@@ -162,16 +148,10 @@ def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) 
     noises, options = [], deviations(section, "--noise", channels)
     for name in channels:
         quantity = Channel.named(name).quantity
-        deviation = options.get(name)
-        if deviation is None and name in run.channels:
-            deviation = run.noise(name)
-        if deviation is None and quantity == "length":
-            deviation = _NOISE
-        elif deviation is None and quantity.startswith("ang"):
-            deviation = math.radians(_NOISE_ANGLE)
-        elif deviation is None and quantity == "pixel":
-            deviation = _NOISE_PIXEL
-        elif deviation is None:
+        usual = (size for start, size in _NOISE.items() if quantity.startswith(start))
+        stated = run.noise(name) if name in run.channels else None
+        known = (one for one in (options.get(name), stated, *usual) if one is not None)
+        if (deviation := next(known, None)) is None:
             raise InputError(
                 f"the noise of {name} is not stated: state it in [noise] of the run, or by --noise"
             )
@@ -181,18 +161,12 @@ def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) 
 
 def _show(sensitivities: "Sensitivity", noises: list[float], shares: "np.ndarray") -> None:
     bodies = list(sensitivities.bodies())
-    rows = []
+    rows: list[list[Any]] = []
     for index, path in enumerate(sensitivities.parameters):
         error = float(sensitivities.standard_errors(noises)[index])
         most = int(shares[:, index].argmax())
-        share = f"{bodies[most]} ({100 * shares[most, index]:.0f} %)" if error < math.inf else None
-        rows.append(
-            [
-                path,
-                float(sensitivities.values[index]),
-                error if error < math.inf else "not determined",
-                sensitivities.units[index] or None,
-                share,
-            ]
-        )
+        unit, share = sensitivities.units[index] or None, shares[most, index]
+        found = [error, unit, f"{bodies[most]} ({100 * share:.0f} %)"]
+        cells = found if error < math.inf else ["not determined", unit, None]
+        rows.append([path, float(sensitivities.values[index]), *cells])
     print_table(["parameter", "value", "expected error", "unit", "most informative"], rows)

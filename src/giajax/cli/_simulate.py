@@ -9,15 +9,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..runtime.process import configure
 from ..runtime.text import InputError
 from ._commands import Texts, argument, command
 from ._model import definition_of, model_of
-from ._options import Digits, ForceRun, Links, Replayed, Solver, Tolerance, Wind, origin
+from ._options import (
+    Digits,
+    ForceRun,
+    Links,
+    Replayed,
+    Solver,
+    Tolerance,
+    Wind,
+    failed_simulation,
+    origin,
+)
 from ._values import (
     NUMBER,
+    Values,
     deviations,
     noise_section,
-    plain_settings,
+    plain,
     settings,
     velocity,
     with_settings,
@@ -66,12 +78,11 @@ def gusts_of(
     if coherence is not None and not 0 <= coherence < math.inf:
         raise InputError(f"--coherence is {coherence:g}: give a decay of at least 0, such as 12")
     intensity = parts if len(parts) == 3 else parts[0]
-    sampling |= {"interval": 1 / rate if rate else 0.0, "length_scale": length_scale}
+    scales: dict[str, Any] = {"interval": 1 / rate if rate else 0.0, "length_scale": length_scale}
     if coherence is not None:
-        sampling |= {"places": np.asarray(link_centres(arm, jnp.zeros(arm.count)))}
-        sampling |= {"decay": coherence}
-    wind = gusts(mean, intensity=intensity, **sampling)
-    scales = {key: sampling[key] for key in ("length_scale", "interval")}
+        places = np.asarray(link_centres(arm, jnp.zeros(arm.count)))
+        sampling |= {"places": places, "decay": coherence}
+    wind = gusts(mean, intensity=intensity, **scales, **sampling)
     along, across = gusts_left_out(math.hypot(*mean), **scales)
     # Of a direction without gusts nothing is left out.
     shares = [f"{along:.1%} along"] * (parts[0] > 0) + [f"{across:.1%} across"] * any(parts[-2:])
@@ -82,11 +93,7 @@ def gusts_of(
 
 
 def gust_numbers(text: str) -> tuple[list[float], float]:
-    """Intensity, one number or three, and length scale (m) of --gusts.
-
-    Raises:
-        InputError: it is written otherwise.
-    """
+    """Intensity, one number or three, and length scale (m) of --gusts."""
     match = _GUSTS.fullmatch(text.replace(" ", ""))
     if match is None:
         raise InputError(
@@ -135,8 +142,6 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
 
 
 # Options of commands that simulate an arm, as definitions and drives.
-#
-# Shared by `giajax simulate` and `giajax sensitivity`; JAX is imported where it is needed only.
 
 DURATION = 25.0
 """Length of a run, s, by default."""
@@ -171,11 +176,7 @@ def definition_from_options(arm: Path | None, links: int | None, wind: str | Non
 def replayed_run(
     command: Path | None, definition: "Definition", moves: Sequence[str] | None
 ) -> "Run | None":
-    """The run of --command, whose commands go between its rows as the arm file says; or None.
-
-    Raises:
-        InputError: there are moves of --step or --ramp beside it, or it is no run.
-    """
+    """The run of --command, whose commands go between its rows as the arm file says; or None."""
     from ..recordings import Definition, read_run, read_sidecar
     from ..schema import ArmSection
 
@@ -220,11 +221,12 @@ def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: flo
     for option, texts in (("--step", step), ("--ramp", ramp)):
         for text in texts:
             match = _MOVE.fullmatch(text.replace(" ", ""))
-            if match is None or (match["duration"] and option == "--step"):
-                form = "JOINT=DEG[@T]" if option == "--step" else "JOINT=DEG[@START:DURATION]"
+            at_once = option == "--step"
+            if match is None or (match["duration"] and at_once):
+                form = "JOINT=DEG[@T]" if at_once else "JOINT=DEG[@START:DURATION]"
                 raise InputError(f"{option} {text!r} must be {form}, such as 1=30@0.5: correct it")
-            length = float(match["duration"] or _RAMP_DURATION) if option == "--ramp" else 0.0
-            if option == "--ramp" and length == 0:
+            length = 0.0 if at_once else float(match["duration"] or _RAMP_DURATION)
+            if length == 0 and not at_once:
                 raise InputError(
                     f"{option} {text!r} has the duration 0: give a longer one, or --step"
                 )
@@ -235,7 +237,7 @@ def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: flo
 
 
 def model_and_truth(
-    definition: "Definition", pairs: Sequence[str], solver: str, tolerance: float
+    definition: "Definition", values: Values, solver: str, tolerance: float
 ) -> tuple["ArmModel", dict[str, float | list[float]]]:
     """The model with the parameters of --set, and the truth to state."""
     import jax.numpy as jnp
@@ -243,17 +245,13 @@ def model_and_truth(
     from ..models import ArmModel, arm_from_definition, sensors_from_definition
     from ..schema.parameters import default_free, get
 
-    model = ArmModel(
-        arm_from_definition(definition),
-        tolerance=jnp.asarray(tolerance),
-        solver=solver,
-        sensors=sensors_from_definition(definition),
-    )
-    model = with_settings(model, settings(pairs))
+    arm, sensors = arm_from_definition(definition), sensors_from_definition(definition)
+    model = ArmModel(arm, tolerance=jnp.asarray(tolerance), solver=solver, sensors=sensors)
+    model = with_settings(model, values)
     truth = {
         path: float(get(model, path)) for path in default_free(model) if not get(model, path).ndim
     }
-    return model, {**truth, **plain_settings(pairs, "--set")}
+    return model, {**truth, **plain(values)}
 
 
 def facts_of(
@@ -274,12 +272,12 @@ def facts_of(
             "nothing moves the arm: give --step, --ramp, --command or --wind, or --arm with an "
             "[initial] state"
         )
-    if not commanded:
-        facts["free_motion"] = True
     if initial:
         facts["initial"] = initial
     if commanded:
         facts["command"] = {"interpolation": commanded[0].interpolation}
+    else:
+        facts["free_motion"] = True
     # Gusts have the mean wind in them.
     if winds:
         facts["wind"] = {"interpolation": winds[0].interpolation}
@@ -305,11 +303,9 @@ command that no sample falls on.""")
 def simulate(
     context: typer.Context,
     out: Annotated[Path, "RUN.csv", "The run to write."],
-    arm: Annotated[
-        Path | None, "FILE.toml", "The arm: [arm], [initial], [command] and [wind] of this file."
-    ] = None,
+    arm: Annotated[Path | None, "FILE.toml", "Its [arm], [initial], [command] and [wind]."] = None,
     links: Links = None,
-    settings: Annotated[Texts, "PATH=VALUE", "A parameter ('giajax parameters').", "--set"] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "A parameter ('giajax parameters').", "--set"] = None,
     step: Annotated[Texts, "JOINT=DEG[@T]", "Step of a command, at 0.5 s by default."] = None,
     ramp: Annotated[
         Texts,
@@ -319,7 +315,7 @@ def simulate(
     command: Replayed = None,
     wind: Wind = None,
     gusts: Annotated[
-        str | None, "I:L", "Gusts about --wind: turbulence intensity and length scale, m."
+        str | None, "I:L", "Gusts about --wind: intensity and length scale, m."
     ] = None,
     coherence: Annotated[
         float | None,
@@ -328,7 +324,7 @@ def simulate(
         "else they are the same along the whole arm.",
     ] = None,
     duration: Annotated[
-        float | None, "S", "Length of the run, s. [default: 25, or that of --command]"
+        float | None, "S", "Length of the run, s. [25, or that of --command]"
     ] = None,
     rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
     channels: Annotated[
@@ -348,26 +344,22 @@ def simulate(
     """
     from ..recordings import Definition, check_output_run
 
-    _check_numbers(missing=missing, tolerance=tolerance)
+    if not 0 <= missing < 100:
+        raise InputError(f"--missing is {missing:g} %: give at least 0 and less than 100")
+    check_tolerance(tolerance)
     section = noise_section(noise, "--noise")
     check_output_run(out, force=force)
     definition = definition_from_options(arm, links, wind)
     replayed = replayed_run(command, definition, step or ramp)
-
-    from ..runtime.process import configure
-
     configure()
-
     from ..apps.synthetic import Drive, sampled, synthesise
-    from ..simulation import SimulationError
 
-    model, truth = model_and_truth(definition, settings or [], solver, tolerance)
+    model, truth = model_and_truth(definition, settings(pairs), solver, tolerance)
     count = model.arm.count
-    start, drives = 0.0, list[Drive]()
+    start, length, drives = 0.0, DURATION, list[Drive]()
     if replayed is not None:
         start, length, drives = drives_of(replayed, rate)
-        duration = length if duration is None else duration
-    duration = DURATION if duration is None else duration
+    duration = length if duration is None else duration
     if step or ramp:
         drives = [moves_of(step or [], ramp or [], count, duration)]
     if coherence is not None and gusts is None:
@@ -386,7 +378,7 @@ def simulate(
     facts["origin"] = origin(context) + (f"  # {left_out}" if left_out else "")
     facts["noise"] = {key: deviation for key, deviation in section.items() if deviation}
     times, inputs = sampled(drives, start=start, duration=duration, rate=rate)
-    try:
+    with failed_simulation(" (options --tolerance, --solver, --set)"):
         run = synthesise(
             model,
             _as_written("time", times, max(digits, 12)),
@@ -397,9 +389,6 @@ def simulate(
             definition=Definition.parse({**facts, "truth": truth}, "simulate"),
             name=out.stem,
         )
-    except SimulationError as error:
-        typer.echo(f"giajax: {error} (options --tolerance, --solver, --set)", err=True)
-        raise typer.Exit(1) from None
     _write(out, run, digits, force)
 
 
@@ -414,9 +403,8 @@ def _write(out: Path, run: "Run", digits: int, force: bool) -> None:
     )
 
 
-def _check_numbers(*, missing: float, tolerance: float) -> None:
-    if not 0 <= missing < 100:
-        raise InputError(f"--missing is {missing:g} %: give at least 0 and less than 100")
+def check_tolerance(tolerance: float) -> None:
+    """Refuse a --tolerance of which nothing would come."""
     if not 0 < tolerance <= 0.1:
         raise InputError(f"--tolerance is {tolerance:g}: give a positive number of at most 0.1")
 
@@ -476,38 +464,28 @@ def synth(
 
     check_output_run(out, force=force)
     values = settings(pairs)
-    sections = {
-        "white": noise_section(noise, "--noise"),
-        "correlated": noise_section(correlated, "--correlated"),
-        "outlier_size": noise_section(outlier_size, "--outlier-size"),
-    }
+    typed = {"--noise": noise, "--correlated": correlated, "--outlier-size": outlier_size}
+    sections = {option: noise_section(pairs, option) for option, pairs in typed.items()}
     recorded = read_run(run, definition=definition_of(model))
-
-    from ..runtime.process import configure
-
     configure()
-
     from ..apps.synthetic import RecordingErrors, recorded_again
-    from ..simulation import SimulationError
 
     truth = with_settings(model_of(model, [recorded]), values)
     names = channels or list(recorded.observations)
+    white, drifting, far = (deviations(part, option, names) for option, part in sections.items())
     errors = RecordingErrors(
-        white=deviations(sections["white"], "--noise", names),
-        correlated=deviations(sections["correlated"], "--correlated", names),
+        white=white,
+        correlated=drifting,
+        outlier_size=far,
         correlation_time=correlation_time,
         missing=missing / 100,
         bursts=bursts / 100,
         burst_duration=burst_duration,
         outliers=outliers / 100,
-        outlier_size=deviations(sections["outlier_size"], "--outlier-size", names),
     )
     paths = list(dict.fromkeys(path.partition("[")[0] for path in values))
-    try:
+    with failed_simulation(""):
         new = recorded_again(
             truth, recorded, errors, channels=channels, seed=seed, truth=paths, name=out.stem
         )
-    except SimulationError as error:
-        typer.echo(f"giajax: {error}", err=True)
-        raise typer.Exit(1) from None
     _write(out, new, digits, force)

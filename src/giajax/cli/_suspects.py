@@ -63,6 +63,13 @@ def suspects(
     if tries is not None and not ladder:
         raise typer.BadParameter("--tries is how many fits a step of a ladder makes: add --ladder")
     fitted, runs = given.fitted, given.runs
+    from ..report import (
+        SUSPECT_HEADINGS,
+        stepwise_table,
+        suspect_rows,
+        suspect_summary,
+        systematic_table,
+    )
     from ..studies import TRIES, ladder as selected, suspects as tested, with_systematic_errors
 
     others = read_runs(held_out or [], Definition(), rename=given.renamed)
@@ -71,9 +78,13 @@ def suspects(
     fitted = with_systematic_errors(fitted, runs, deviations or None)
     shown = not (given.as_json or given.quiet)
     if shown:
-        _show(found, most)
+        if rows := suspect_rows(found, most):
+            print_table(SUSPECT_HEADINGS, rows)
+            print()
+        print("\n".join(suspect_summary(found)))
         if systematic or deviations:
-            _show_systematic(fitted)
+            print("\nwhat a held number moves, in standard errors:")
+            print_table(*systematic_table(fitted))
     steps = None
     if ladder:
         others += held_out_runs(fitted, given.data or [], rename=given.renamed)
@@ -82,7 +93,9 @@ def suspects(
             fitted, runs, held_out=others, most=most, tries=tries or TRIES, progress=said
         )
         if shown:
-            _show_ladder(steps)
+            print()
+            print_table(*stepwise_table(steps))
+            print("\n" + "\n".join([steps.ending, *steps.result.conditions]))
     if given.out is not None:
         write_files({given.out: fitted.to_json().encode()}, force=given.force)
     if given.as_json:
@@ -96,54 +109,22 @@ def _say(step: "Step") -> None:
     typer.echo(f"{added}: chi-square {step.chi_square:.5g}", err=True)
 
 
-def _show(found: "Suspects", most: int) -> None:
-    from ..report import SUSPECT_HEADINGS, suspect_rows, suspect_summary
-
-    if rows := suspect_rows(found, most):
-        print_table(SUSPECT_HEADINGS, rows)
-        print()
-    print("\n".join(suspect_summary(found)))
-
-
-def _show_systematic(result: "FitResult") -> None:
-    from ..report import systematic_table
-
-    print("\nwhat a held number moves, in standard errors:")
-    print_table(*systematic_table(result))
-
-
-def _show_ladder(steps: "StepwiseSelection") -> None:
-    from ..report import stepwise_table
-
-    print()
-    print_table(*stepwise_table(steps))
-    print(f"\n{steps.ending}")
-    for condition in steps.result.conditions:
-        print(condition)
+_STEP = ("removed", "chi_square", "aic", "bic", "held_out")
 
 
 def _facts(
     result: "FitResult", found: "Suspects", steps: "StepwiseSelection | None"
 ) -> dict[str, Any]:
     """What `--json` prints."""
-    facts: dict[str, Any] = {
-        "chi_square": found.chi_square,
-        "values": found.values,
-        "asked": found.asked,
-        "suspects": result.suspects,
-        "systematic": result.systematic,
-    }
+    facts: dict[str, Any] = {key: getattr(found, key) for key in ("chi_square", "values", "asked")}
+    facts |= {"suspects": result.suspects, "systematic": result.systematic}
     if steps is not None:
         facts["ladder"] = {
             "ending": steps.ending,
             "rungs": [
                 {
                     "path": None if step.suspect is None else step.suspect.path,
-                    "removed": step.removed,
-                    "chi_square": step.chi_square,
-                    "aic": step.aic,
-                    "bic": step.bic,
-                    "held_out": step.held_out,
+                    **{key: getattr(step, key) for key in _STEP},
                     "parameters": step.result.parameters,
                 }
                 for step in steps.steps

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..runtime.process import configure
 from ..runtime.signals import stopped_status
 from ._commands import argument, command
 from ._options import ManyProgress, Scheduler, Workers, print_table
@@ -62,16 +63,9 @@ def sweep(
         return
     with open_executor(workers, scheduler) as executor:
         if scheduler is None and workers in (None, 1):
-            from ..runtime.process import configure
-
             configure()
-        table = sweep_plan(
-            planned,
-            out=folder,
-            executor=executor,
-            progress=None if quiet else ManyProgress("fits"),
-            force=force,
-        )
+        progress = None if quiet else ManyProgress("fits")
+        table = sweep_plan(planned, out=folder, executor=executor, progress=progress, force=force)
     counts = {ending: int((table["status"] == ending).sum()) for ending in _ENDINGS}
     if not quiet:
         _show(table, planned.columns)

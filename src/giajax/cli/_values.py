@@ -5,8 +5,8 @@ A value is a number, or a number for each element, separated by commas: camera.o
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..runtime.text import InputError
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 
 Values = dict[str, list[float]]
+_T = TypeVar("_T")
 
 
 def number(text: str) -> float | None:
@@ -26,52 +27,54 @@ def number(text: str) -> float | None:
     return float(text) if math.isfinite(float(text)) else None
 
 
-def settings(pairs: Sequence[str] | None, option: str = "--set") -> Values:
-    """Values by path, from PATH=VALUE.
+def numbers(text: str, count: int | None = None) -> list[float] | None:
+    """Numbers with commas between them; None where there are not so many, or others stand there."""
+    found = [value for part in text.split(",") if (value := number(part)) is not None]
+    return found if len(found) == text.count(",") + 1 == (count or len(found)) else None
 
-    Arguments:
-        pairs: as they were typed.
-        option: what they were typed after.
 
-    Returns:
-        One number, or one for each element, by path and in the order of typing.
-
-    Raises:
-        InputError: a pair that is no PATH=VALUE, or a path twice.
-    """
-    values: Values = {}
+def _by_path(
+    pairs: Sequence[str] | None,
+    option: str,
+    form: str,
+    example: str,
+    read: Callable[[str], _T | None],
+) -> dict[str, _T]:
+    """What is read of the text behind each PATH=, in the order of typing; each path once."""
+    known: dict[str, _T] = {}
     for pair in pairs or []:
-        path, _, text = pair.rpartition("=")
-        path, numbers = path.strip(), [number(part) for part in text.split(",")]
-        known = [value for value in numbers if value is not None]
-        if not path or len(known) < len(numbers):
-            raise InputError(
-                f"{option} {pair!r} must be PATH=VALUE with a number, or with one for each "
-                "element: write it like air.drag_coefficient=1.0 or camera.origin=0.1,0,0"
-            )
-        if path in values:
+        path, _, text = (part.strip() for part in pair.partition("="))
+        try:
+            value = read(text) if path and text else None
+        except InputError as error:
+            raise InputError(f"{option} {pair!r} is not right, because {error}") from None
+        if value is None:
+            raise InputError(f"{option} {pair!r} must be {form}: write it like {example}")
+        if path in known:
             raise InputError(f"{option} gives {path} twice: remove one")
-        values[path] = known
-    return values
+        known[path] = value
+    return known
 
 
-def plain_settings(pairs: Sequence[str] | None, option: str) -> dict[str, float | list[float]]:
-    """Values by path, from PATH=VALUE, as a file has them: one number by itself, several as a list.
+def settings(pairs: Sequence[str] | None, option: str = "--set") -> Values:
+    """One number, or one for each element, by path, from PATH=VALUE."""
+    form = "PATH=VALUE with a number, or with one for each element"
+    example = "air.drag_coefficient=1.0 or camera.origin=0.1,0,0"
+    return _by_path(pairs, option, form, example, numbers)
 
-    Raises:
-        InputError: as `settings`.
-    """
-    values = settings(pairs, option)
+
+def plain(values: Values) -> dict[str, float | list[float]]:
+    """Values by path as a file has them: one number by itself, several as a list."""
     return {path: each[0] if len(each) == 1 else each for path, each in values.items()}
 
 
-def with_settings(model: Any, values: Mapping[str, Sequence[float]]) -> Any:
-    """The model with these parameters, switched on where they are left out.
+def plain_settings(pairs: Sequence[str] | None, option: str) -> dict[str, float | list[float]]:
+    """As `settings`, but as a file has them."""
+    return plain(settings(pairs, option))
 
-    Raises:
-        InputError: an unknown path, another number of values than elements, or a value beyond
-            its bounds.
-    """
+
+def with_settings(model: Any, values: Mapping[str, Sequence[float]]) -> Any:
+    """The model with these parameters, switched on where they are left out."""
     from ..schema.parameters import (
         check_count,
         check_within_bounds,
@@ -81,49 +84,36 @@ def with_settings(model: Any, values: Mapping[str, Sequence[float]]) -> Any:
         switched_on,
     )
 
-    for path, numbers in values.items():
+    for path, typed in values.items():
         model = switched_on(model, [path])
-        check_count(model, path, numbers)
+        check_count(model, path, typed)
+        given = [float(value) for value in typed]
         if find(model, path).any_number:
-            model = replace(model, {path: [float(value) for value in numbers]})
+            model = replace(model, {path: given})
         parts = elements(model, path)
-        each = [float(value) for value in numbers] * (len(parts) // len(numbers))
-        for part, value in zip(parts, each, strict=True):
+        for part, value in zip(parts, given * (len(parts) // len(given)), strict=True):
             check_within_bounds(part, value, free=False)
             model = replace(model, {part.path: value})
     return model
 
 
-def noise_section(pairs: Sequence[str] | None, option: str) -> dict[str, float]:
-    """Keys of `[noise]` with their standard deviations, from KEY=VALUE; in the unit of the key.
-
-    Raises:
-        InputError: a pair that is no KEY=VALUE, a key twice, or a negative number.
-    """
-    section: dict[str, float] = {}
-    for pair in pairs or []:
-        key, _, text = pair.partition("=")
-        key, value = key.strip(), number(text)
-        if not key or value is None:
-            raise InputError(
-                f"{option} {pair!r} must be KEY=VALUE with a number: write it like position_m=0.01"
-            )
+def noise_section(
+    pairs: Sequence[str] | None, option: str, *, positive: bool = False
+) -> dict[str, float]:
+    """Keys of `[noise]` with their standard deviations in the unit of the key, from KEY=VALUE."""
+    section = _by_path(pairs, option, "KEY=VALUE with a number", "position_m=0.01", number)
+    for key, value in section.items():
         if value < 0:
-            raise InputError(f"{option} {pair!r} is negative: give 0 or a positive number")
-        if key in section:
-            raise InputError(f"{option} gives {key} twice: remove one")
-        section[key] = value
+            raise InputError(f"{option} '{key}={value:g}' is negative: give 0 or a positive number")
+        if positive and value == 0:
+            raise InputError(f"{option} is 0, but no recording is exact: give a positive number")
     return section
 
 
 def deviations(
     section: Mapping[str, float], option: str, channels: Sequence[str]
 ) -> dict[str, float]:
-    """Standard deviations (SI) that keys of `[noise]` state, by channel.
-
-    Raises:
-        InputError: an unknown key, or one that is about none of the channels.
-    """
+    """Standard deviations (SI) that keys of `[noise]` state, by channel; each key is about one."""
     from ..recordings import Channel, Definition, deviation_of
 
     def by_channel(part: Mapping[str, float]) -> dict[str, float]:
@@ -142,14 +132,8 @@ def deviations(
 
 
 def velocity(text: str, option: str) -> list[float]:
-    """Three numbers in m/s.
-
-    Raises:
-        InputError: it is written otherwise.
-    """
-    parts = [number(part) for part in text.split(",")]
-    found = [part for part in parts if part is not None]
-    if len(parts) != 3 or len(found) != 3:
+    """Three numbers in m/s."""
+    if (found := numbers(text, 3)) is None:
         raise InputError(f"{option} is {text!r}: give three numbers in m/s, such as 0,0.2,0")
     return found
 
@@ -162,86 +146,37 @@ _PRIOR = re.compile(rf"\s*({NUMBER})\s*(\+-|x/)\s*({NUMBER})\s*")
 
 
 def priors(pairs: Sequence[str] | None) -> "dict[str, Prior]":
-    """Priors by path, from PATH=VALUE+-DEVIATION or PATH=VALUEx/FACTOR.
-
-    Raises:
-        InputError: a pair that is neither, a path twice, or a number that is not legal.
-    """
+    """Priors by path, from PATH=VALUE+-DEVIATION or PATH=VALUEx/FACTOR."""
     from ..schema import Prior
 
-    known: dict[str, Prior] = {}
-    for pair in pairs or []:
-        path, text = _pair(pair, "--prior", "air.drag_coefficient=1.1+-0.2 or links.mass=0.05x/1.5")
+    def read(text: str) -> Prior | None:
         match = _PRIOR.fullmatch(text)
         value, spread = (number(match[1]), number(match[3])) if match else (None, None)
         if match is None or value is None or spread is None:
-            raise InputError(
-                f"--prior {pair!r} must be PATH=VALUE+-DEVIATION, or PATH=VALUEx/FACTOR: write it "
-                "like air.drag_coefficient=1.1+-0.2 or links.mass=0.05x/1.5"
-            )
-        _check_new(path, known, "--prior")
-        kind = "deviation" if match[2] == "+-" else "factor"
-        try:
-            known[path] = Prior(value, **{kind: spread})
-        except InputError as error:
-            raise InputError(f"--prior {pair!r} is not right, because {error}") from None
-    return known
+            return None
+        return Prior(value, **{"deviation" if match[2] == "+-" else "factor": spread})
+
+    form = "PATH=VALUE+-DEVIATION, or PATH=VALUEx/FACTOR"
+    example = "air.drag_coefficient=1.1+-0.2 or links.mass=0.05x/1.5"
+    return _by_path(pairs, "--prior", form, example, read)
 
 
-def bounds(pairs: Sequence[str] | None) -> dict[str, list[float]]:
-    """Lower and upper bounds by path, from PATH=LOW,HIGH.
-
-    Raises:
-        InputError: a pair that is no PATH=LOW,HIGH, or a path twice.
-    """
-    known: dict[str, list[float]] = {}
-    for pair in pairs or []:
-        path, text = _pair(pair, "--bounds", "joints.damping=0.01,1.0")
-        limits = [value for part in text.split(",") if (value := number(part)) is not None]
-        if len(limits) != 2 or text.count(",") != 1:
-            raise InputError(
-                f"--bounds {pair!r} must be PATH=LOW,HIGH with two numbers: write it like "
-                "joints.damping=0.01,1.0"
-            )
-        _check_new(path, known, "--bounds")
-        known[path] = limits
-    return known
+def bounds(pairs: Sequence[str] | None) -> Values:
+    """Lower and upper bounds by path, from PATH=LOW,HIGH."""
+    form = "PATH=LOW,HIGH with two numbers"
+    return _by_path(pairs, "--bounds", form, "joints.damping=0.01,1.0", lambda t: numbers(t, 2))
 
 
 def ties(pairs: Sequence[str] | None) -> dict[str, str]:
-    """Expressions by the path that follows from them, from PATH=EXPRESSION.
-
-    Raises:
-        InputError: a pair that is no PATH=EXPRESSION, or a path twice.
-    """
-    known: dict[str, str] = {}
-    for pair in pairs or []:
-        path, text = _pair(pair, "--tie", "'links.mass=links.mass[0]'")
-        _check_new(path, known, "--tie")
-        known[path] = text
-    return known
+    """Expressions by the path that follows from them, from PATH=EXPRESSION."""
+    return _by_path(pairs, "--tie", "PATH=EXPRESSION", "'links.mass=links.mass[0]'", str)
 
 
 def groups(pairs: Sequence[str] | None) -> dict[str, list[list[str]]]:
-    """Names of runs, group by group, by path, from PATH=RUN,RUN for each group.
-
-    Raises:
-        InputError: a pair that is no PATH=RUN,RUN.
-    """
+    """Names of runs, group by group, by path, from PATH=RUN,RUN for each group."""
     known: dict[str, list[list[str]]] = {}
     for pair in pairs or []:
-        path, text = _pair(pair, "--group", "joints.damping=monday,tuesday")
-        known.setdefault(path, []).append([name.strip() for name in text.split(",")])
+        one = _by_path([pair], "--group", "PATH=RUN,RUN", "joints.damping=monday,tuesday", str)
+        for path, text in one.items():
+            known.setdefault(path, []).append([name.strip() for name in text.split(",")])
     return known
-
-
-def _pair(pair: str, option: str, example: str) -> tuple[str, str]:
-    path, _, text = (part.strip() for part in pair.partition("="))
-    if not path or not text:
-        raise InputError(f"{option} {pair!r} must be PATH=..., with both: write it like {example}")
-    return path, text
-
-
-def _check_new(path: str, known: Collection[str], option: str) -> None:
-    if path in known:
-        raise InputError(f"{option} gives {path} twice: remove one")

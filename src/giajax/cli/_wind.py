@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from ..runtime.process import configure
 from ..runtime.text import InputError
 from ._commands import Texts, command
 from ._model import definition_of, model_of
@@ -44,9 +45,7 @@ def wind(
     hold: Annotated[Texts, "NAME", "Hold this."] = None,
     no_mean: Annotated[bool, "Do not use where the arm rests, only how it moves there."] = False,
     skip: Annotated[float, "S", "Leave out the beginning, until gusts alone move."] = 0.0,
-    highest: Annotated[
-        float | None, "HZ", "Frequency to look up to. [half of what rows resolve]"
-    ] = None,
+    highest: Annotated[float | None, "HZ", "Highest frequency. [half of what rows resolve]"] = None,
     channels: OnlyChannels = None,
     rename: Renamed = None,
     out: Annotated[Path | None, "DIR", "Write wind.json and wind.png there."] = None,
@@ -67,9 +66,6 @@ def wind(
     settings = {"fit": {"channels": channels}} if channels else {}
     definition = definition_of(model).merged_with(Definition.parse(settings, "the command line"))
     run = read_run(data, definition=definition, rename=parse_rename(rename or []))
-
-    from ..runtime.process import configure
-
     configure()
     from ..apps.wind import USUALLY, fit_wind, wind_figure, wind_json
     from ..report import to_png
@@ -95,8 +91,8 @@ def wind(
     text = wind_json(found, run)
     if out is not None:
         picture = to_png(wind_figure(found, f"{run.name}: spectra at rest, and those of the wind"))
-        contents = (f"{text}\n".encode(), picture)
-        write_folder(out, dict(zip(_FILES, contents, strict=True)), force=force)
+        contents = {"wind.json": f"{text}\n".encode(), "wind.png": picture}
+        write_folder(out, contents, force=force)
     if as_json:
         typer.echo(text)
         return
@@ -108,15 +104,11 @@ def wind(
 
 
 def _show(found: "WindFit") -> None:
-    rows = [
-        [
-            name,
-            one.value,
-            one.standard_error if one.standard_error is not None else _without(one.free),
-            one.unit or None,
-        ]
-        for name, one in found.numbers.items()
-    ]
+    rows = []
+    for name, one in found.numbers.items():
+        error = one.standard_error
+        word = "not determined" if one.free else "held"
+        rows.append([name, one.value, word if error is None else error, one.unit or None])
     print_table(["number", "value", "standard error", "unit"], rows)
     flow = ", ".join(f"{part:.4g}" for part in found.wind.mean)
     typer.echo(f"\nmean flow ({flow}) m/s; {len(found.channels)} channels")
@@ -125,7 +117,3 @@ def _show(found: "WindFit") -> None:
     )
     for note in found.notes:
         typer.echo(f"note: {note}")
-
-
-def _without(free: bool) -> str:
-    return "not determined" if free else "held"

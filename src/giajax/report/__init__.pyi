@@ -33,10 +33,7 @@ from ._profiles import (
     profile_figure as profile_figure,
     profile_rows as profile_rows,
 )
-from ._records import register as register, sections as sections, view_of as view_of
 from ._repetitions import (
-    BOOTSTRAP as BOOTSTRAP,
-    INFLUENCE as INFLUENCE,
     bootstrap_figure as bootstrap_figure,
     bootstrap_summary as bootstrap_summary,
     bootstrap_table as bootstrap_table,
@@ -77,4 +74,10 @@ from ._suspects import (
     systematic_table as systematic_table,
 )
 from ._text import PAGE as PAGE, parameter_table as parameter_table, summary as summary
-from ._views import PageSection as PageSection, RecordView as RecordView, Table as Table
+from ._views import (
+    PageSection as PageSection,
+    RecordView as RecordView,
+    Table as Table,
+    sections as sections,
+    view_of as view_of,
+)

@@ -50,9 +50,7 @@ def check_folder(
 
     Arguments:
         folder: where `write_result` is to write; need not exist.
-        runs: the runs to be fitted.
         config: of the fit: `Setup.config`, which `giajax.fitting.set_up` makes.
-        force: write over any result that is there.
 
     Raises:
         InputError: the folder is a file, cannot be written, or (without `force`) holds the
@@ -95,10 +93,6 @@ class Reached:
 def check_figures(model: AbstractModel, definition: Definition) -> None:
     """Refuse `[figures]` of parameters that the model does not have, before anything is fitted.
 
-    Arguments:
-        model: the one that is to be fitted.
-        definition: with its `[figures]`.
-
     Raises:
         InputError: naming the path and the nearest one.
     """
@@ -111,15 +105,7 @@ def check_figures(model: AbstractModel, definition: Definition) -> None:
 
 
 def reached(result: FitResult, definition: Definition) -> list[Reached]:
-    """Compare a result with the `[figures]` of a fit definition.
-
-    Arguments:
-        result: the result of the fit.
-        definition: with its `[figures]`.
-
-    Returns:
-        One for each figure, in the order of the definition.
-    """
+    """Compare a result with each of the `[figures]` of a fit definition, in their order."""
     estimates = {**result.parameters, **result.derived}
     return [
         Reached(path, *_compare(estimates.get(path), figure))
@@ -155,34 +141,20 @@ def _compare(estimate: Estimate | None, figure: Figure) -> tuple[bool, str]:
     return good, f"{shown}: {', '.join(sentences)}"
 
 
-def prediction_files(
+def _prediction_files(
     result: FitResult,
     runs: Sequence[Run],
     names: Sequence[str],
     predictions: Sequence[Mapping[str, np.ndarray]],
 ) -> dict[str, bytes]:
-    """`prediction.csv`, and its sidecar where it is a run: contents by name of the file.
-
-    Arguments:
-        result: the fit.
-        runs: the runs that were fitted.
-        names: of the runs, each another one.
-        predictions: what the fitted model predicts for each run, SI, by channel.
-
-    Returns:
-        The contents, encoded.
-    """
+    """`prediction.csv`, and its sidecar where it is a run: contents by name of the file."""
     tables = [_table(run, predicted) for run, predicted in zip(runs, predictions, strict=True)]
     if len(runs) == 1:
         data = _csv(tables[0])
-        checksum = hashlib.sha256(data).hexdigest()
-        return {
-            "prediction.csv": data,
-            "prediction.toml": _sidecar(result, runs[0], checksum).to_toml().encode(),
-        }
+        sidecar = _sidecar(result, runs[0], hashlib.sha256(data).hexdigest())
+        return {"prediction.csv": data, "prediction.toml": sidecar.to_toml().encode()}
     columns = list(dict.fromkeys(column for table in tables for column in table))
-    together: dict[str, list[str]] = {"run": []}
-    together |= {column: [] for column in columns}
+    together: dict[str, list[str]] = {"run": [], **{column: [] for column in columns}}
     for name, table in zip(names, tables, strict=True):
         count = len(next(iter(table.values())))
         together["run"] += [name] * count
@@ -251,14 +223,10 @@ def write_result(
     anything else can fail. Pictures of an earlier fit are removed.
 
     Arguments:
-        result: the result of `fit` or `load_result`.
-        runs: the runs that were fitted, in the same order.
+        runs: those that were fitted, in the same order.
         folder: its files are written over; `check_folder` is what refuses.
         figures: whether to draw pictures, too; `write_figures` draws them later.
         held_out: what was held out of the runs, for the pictures.
-
-    Returns:
-        The files, `result.json` first.
 
     Raises:
         InputError: other runs than those of the result, or the folder cannot be written.
@@ -272,9 +240,12 @@ def write_result(
     make_folder(folder)
     files = _written(folder, {RESULT: result.to_json().encode()})
     _remove_stale_pictures(folder)
-    files += _written(folder, prediction_files(result, runs, names, predictions))
+    files += _written(folder, _prediction_files(result, runs, names, predictions))
     if figures:
-        files += _drawn(folder, result, runs, names, predictions, held_out)
+        # Who wants no pictures need not wait for matplotlib.
+        from ._pictures import picture_files
+
+        files += _written(folder, picture_files(result, runs, names, predictions, held_out))
     return files
 
 
@@ -288,36 +259,16 @@ def write_figures(
     """Draw a result into the folder that `write_result` wrote.
 
     The pictures show recorded against fitted values of each run (of many runs, of those that are
-    described worst), the residuals and the correlations.
-
-    Arguments:
-        result: the result of `fit` or `load_result`.
-        runs: the runs that were fitted, in the same order.
-        folder: of the result.
-        held_out: what was held out of the runs, in the order of `result.held_out`.
-
-    Returns:
-        The files.
+    described worst), the residuals and the correlations. `runs` and `held_out`, what was held out
+    of them, are in the order of the result.
 
     Raises:
         InputError: other runs than those of the result, or the folder cannot be written.
     """
-    runs, names, predictions = _parts(result, runs)
-    return _drawn(Path(folder), result, runs, names, predictions, held_out)
-
-
-def _drawn(
-    folder: Path,
-    result: FitResult,
-    runs: Sequence[Run],
-    names: Sequence[str],
-    predictions: Sequence[Mapping[str, np.ndarray]],
-    held_out: Sequence[Run],
-) -> list[Path]:
-    # Who wants no pictures need not wait for matplotlib.
     from ._pictures import picture_files
 
-    return _written(folder, picture_files(result, runs, names, predictions, held_out))
+    pictures = picture_files(result, *_parts(result, runs), held_out)
+    return _written(Path(folder), pictures)
 
 
 def _parts(
@@ -339,16 +290,9 @@ def _written(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
 
 def _remove_stale_pictures(folder: Path) -> None:
     """Remove the pictures and the page of an earlier fit, which do not show this one."""
-    for pattern in (
-        "recorded.png",
-        "recorded_*.png",
-        "held_out_*.png",
-        "residuals.png",
-        "correlation.png",
-        "bootstrap.png",
-        "influence.png",
-        PAGE,
-    ):
+    of_runs = ("recorded.png", "recorded_*.png", "held_out_*.png")
+    whole = ("residuals.png", "correlation.png", "bootstrap.png", "influence.png", PAGE)
+    for pattern in (*of_runs, *whole):
         for path in folder.glob(pattern):
             try:
                 # A person's own picture of such a name does not carry the signature.

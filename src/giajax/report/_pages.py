@@ -12,8 +12,6 @@ from ..runtime.text import InputError
 from ..studies import Contrast
 from ._text import SIGNATURE
 
-_NEEDED = ("bokeh", "jinja2")
-
 
 def check_page(path: str | Path | None = None, *, force: bool = False) -> None:
     """Refuse a page that cannot be made, before anything is computed.
@@ -26,7 +24,7 @@ def check_page(path: str | Path | None = None, *, force: bool = False) -> None:
         InputError: what draws it is not installed, there is a folder of this name, or (without
             `force`) the file is someone's own or cannot be read.
     """
-    missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
+    missing = [name for name in ("bokeh", "jinja2") if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(
             f"a page needs {' and '.join(missing)}, which must be installed: "
@@ -38,16 +36,13 @@ def check_page(path: str | Path | None = None, *, force: bool = False) -> None:
         raise InputError(f"{path} is a folder, but the page is written there: move it")
     if force or not Path(path).exists():
         return
+    remedy = "move it, or give --force to write over it"
     try:
         beginning = read_bytes(Path(path), RESULT_BYTES)[:200]
     except OSError as error:
-        raise InputError(
-            f"{path} cannot be read ({error.strerror}): move it, or give --force to write over it"
-        ) from None
+        raise InputError(f"{path} cannot be read ({error.strerror}): {remedy}") from None
     if SIGNATURE.encode() not in beginning:
-        raise InputError(
-            f"{path} was not made by giajax: move it, or give --force to write over it"
-        )
+        raise InputError(f"{path} was not made by giajax: {remedy}")
 
 
 def report_page(
@@ -63,13 +58,8 @@ def report_page(
     of which something is seen moves; it may be simulated and compiled for that.
 
     Arguments:
-        result: the result of `fit` or `load_result`.
-        runs: the runs that were fitted, in the same order.
-        held_out: what was held out of them.
+        runs: those that were fitted, in the same order; `held_out` is what was held out of them.
         source: the `result.json`, from which the page says how to fit it again.
-
-    Returns:
-        The page, encoded.
 
     Raises:
         InputError: what draws it is not installed, or other runs than those of the result.
@@ -88,12 +78,7 @@ def report_page(
 def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
     """Results side by side as one HTML file that opens without a network.
 
-    Arguments:
-        found: what `giajax.studies.contrast` says of them.
-        results: the results, in the same order.
-
-    Returns:
-        The page, encoded.
+    `found` is what `giajax.studies.contrast` says of them, in the same order.
 
     Raises:
         InputError: what draws it is not installed.

@@ -23,10 +23,11 @@ from ._style import (
     VERMILLION,
     new_figure,
     plain,
+    plain_colorbar,
     to_png,
     unfinished,
 )
-from ._text import MOST_RUNS, worth_drawing
+from ._text import MOST_RUNS, correlation_text, worth_drawing
 
 # A step of this many times the usual one, and of this part of the range, is no motion.
 _JUMP, _FAR = 20, 0.3
@@ -102,28 +103,21 @@ def correlation_figure(result: FitResult) -> Figure:
     axes.set_xticks(range(len(paths)), paths, rotation=45, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(len(paths)), paths)
     axes.tick_params(labelsize=8, length=0, labelcolor=INK)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    axes.spines[:].set_visible(False)
     for i in range(len(paths)):
         axes.add_patch(Rectangle((i - 0.5, i - 0.5), 1, 1, facecolor=LIGHT, edgecolor="white"))
         for j in range(i if len(paths) <= _MOST_NUMBERS else 0):
             colour = "white" if abs(below[i, j]) > 0.6 else INK
-            number = _correlation(below[i, j])
+            number = correlation_text(below[i, j]).replace("-", MINUS)
             axes.text(j, i, number, ha="center", va="center", fontsize=8, color=colour)
-    bar = figure.colorbar(image, ax=axes, shrink=0.8, ticks=[-1, -0.5, 0, 0.5, 1])
-    bar.ax.tick_params(labelsize=8, length=0, labelcolor=INK)
-    bar.outline.set_visible(False)
+    plain_colorbar(axes, image, shrink=0.8, ticks=[-1, -0.5, 0, 0.5, 1])
     return figure
-
-
-def _correlation(value: float) -> str:
-    # Three digits where two would round to one, which no correlation here is.
-    digits = 3 if abs(value) >= 0.995 else 2
-    return "?" if np.isnan(value) else f"{value:.{digits}f}".replace("-", MINUS)
 
 
 # More panels than this cannot be read on one screen.
 _MOST_PANELS = 24
+# Columns, up to so many panels.
+_COLUMNS = ((1, 1), (2, 8), (3, 15), (4, _MOST_PANELS))
 
 # Of cells that were fitted, and of those that were held out.
 _SHADES = {False: GREY, True: VERMILLION}
@@ -145,17 +139,12 @@ def recorded_figure(
     too many. Cells that were not measured are gaps between the dots.
 
     Arguments:
-        result: the fit.
-        run: the recorded run.
-        predicted: what the fitted model predicts for it, SI.
+        predicted: what the fitted model predicts for the run, SI.
         record: the run's entry in `result.runs`, or in `result.held_out`.
         held: what was held out of it, which is drawn hollow; `run` itself for a picture of it.
-
-    Returns:
-        The picture.
     """
     panels, left_out = _panels(run)
-    columns = _columns(len(panels))
+    columns = next(c for c, most in _COLUMNS if len(panels) <= most)
     rows = -(-len(panels) // columns)
     alone = held is run
     what = "held out and predicted" if alone else "recorded and fitted"
@@ -191,10 +180,6 @@ def _panels(run: Run) -> tuple[list[list[str]], int]:
     chosen = np.linspace(0, len(panels) - 1, _MOST_PANELS).round().astype(int)
     panels = [panels[i] for i in chosen]
     return panels, len(run.observations) - sum(len(panel) for panel in panels)
-
-
-def _columns(panels: int) -> int:
-    return next(c for c, most in ((1, 1), (2, 8), (3, 15), (4, _MOST_PANELS)) if panels <= most)
 
 
 def _draw_panel(
@@ -267,13 +252,7 @@ def residuals_figure(
 ) -> Figure:
     """Residuals in units of the noise: over time, as a distribution, and by channel.
 
-    Arguments:
-        result: the fit.
-        runs: the recorded runs.
-        predictions: what the fitted model predicts for each, SI, by channel.
-
-    Returns:
-        The picture.
+    `predictions` are those of the fitted model for each run, SI, by channel.
     """
     tables = [
         _weighted(run, predicted, record)
@@ -301,10 +280,8 @@ def residuals_figure(
 
 def _weighted(run: Run, predicted: Mapping[str, np.ndarray], record: RunFit) -> np.ndarray:
     """Residuals in units of the noise, NaN where not measured; shape (sample, channel)."""
-    columns = []
-    for name, values in run.observations.items():
-        rest = values - predicted[name]
-        columns.append(rest / _noise(run, name, rest, record))
+    rests = {name: values - predicted[name] for name, values in run.observations.items()}
+    columns = [rest / _noise(run, name, rest, record) for name, rest in rests.items()]
     return np.stack(columns, axis=-1)
 
 
@@ -322,18 +299,11 @@ def _noise(run: Run, name: str, rest: np.ndarray, record: RunFit) -> float:
 
 def _draw_over_time(axes: Axes, run: Run, table: np.ndarray, limit: float) -> None:
     times = sample_times(run)
-    count = table.size
-    axes.plot(
-        np.broadcast_to(times[:, None], table.shape).ravel(),
-        np.clip(table, -limit, limit).ravel(),
-        linestyle="none",
-        marker="o",
-        markeredgewidth=0,
-        markersize=2.4 if count < 3000 else 1.6,
-        alpha=0.55 if count < 3000 else 0.3,
-        color=GREY,
-        label="each value",
-    )
+    few = table.size < 3000
+    style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0}
+    style |= {"markersize": 2.4 if few else 1.6, "alpha": 0.55 if few else 0.3, "color": GREY}
+    over = np.broadcast_to(times[:, None], table.shape).ravel()
+    axes.plot(over, np.clip(table, -limit, limit).ravel(), label="each value", **style)
     centres, rms = _running_rms(times, table)
     axes.plot(centres, rms, color=VERMILLION, linewidth=1.6, label="RMS (1 if only noise is left)")
     axes.axhline(1, color=VERMILLION, linewidth=0.8, linestyle=(0, (4, 3)))
@@ -381,41 +351,26 @@ def _draw_distribution(axes: Axes, values: np.ndarray, limit: float) -> None:
     _legend_above(axes)
     beyond = values.size - inside.size
     if beyond:
-        axes.text(
-            0.98,
-            0.98,
-            f"{beyond} of {values.size}\nbeyond {limit:.0f}",
-            transform=axes.transAxes,
-            fontsize=8,
-            color=GREY,
-            ha="right",
-            va="top",
-        )
+        style: dict[str, Any] = {"fontsize": 8, "color": GREY, "ha": "right", "va": "top"}
+        text = f"{beyond} of {values.size}\nbeyond {limit:.0f}"
+        axes.text(0.98, 0.98, text, transform=axes.transAxes, **style)
 
 
 def _legend_above(axes: Axes) -> None:
     """In the line of the title, where no value can hide behind it."""
-    axes.legend(
-        fontsize=8,
-        frameon=False,
-        loc="lower right",
-        bbox_to_anchor=(1, 1),
-        ncols=2,
-        borderaxespad=0.2,
-        columnspacing=1.2,
-        markerscale=1.8,
-    )
+    place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "ncols": 2}
+    place |= {"borderaxespad": 0.2, "columnspacing": 1.2, "markerscale": 1.8}
+    axes.legend(fontsize=8, frameon=False, **place)
 
 
 def _draw_by_channel(axes: Axes, runs: Sequence[Run], tables: Sequence[np.ndarray]) -> None:
     """Which channel the model misses: RMS of its residuals in all runs."""
     names = list(dict.fromkeys(name for run in runs for name in run.observations))
-    squares: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    cells: dict[str, list[np.ndarray]] = {name: [] for name in names}
     for run, table in zip(runs, tables, strict=True):
         for column, name in enumerate(run.observations):
-            cells = table[:, column]
-            squares[name].append(cells[~np.isnan(cells)] ** 2)
-    rms = [float(np.sqrt(np.mean(np.concatenate(squares[name])))) for name in names]
+            cells[name].append(table[~np.isnan(table[:, column]), column])
+    rms = [float(np.sqrt(np.mean(np.concatenate(each) ** 2))) for each in cells.values()]
     places = np.arange(len(names))
     axes.vlines(places, 0, rms, color=LIGHT, linewidth=3)
     axes.plot(places, rms, "o", color=BLUE, markersize=5 if len(names) < 40 else 3.5)
@@ -439,20 +394,11 @@ def picture_files(
     predictions: Sequence[Mapping[str, np.ndarray]],
     held_out: Sequence[Run],
 ) -> dict[str, bytes]:
-    """The pictures of a fit by the names of their files.
-
-    Arguments:
-        result: of the fit.
-        runs: that were fitted.
-        names: of the runs, as parts of names of files.
-        predictions: for each run, in its units.
-        held_out: what was held out of the runs.
-    """
+    """The pictures of a fit by the names of their files, of which the `names` of runs are parts."""
     files = {}
-    drawn = worth_drawing(result)
     everything = list(zip(runs, names, predictions, result.runs, strict=True))
     held = {(run.name, run.sha256): run for run in held_out}
-    for run, name, predicted, record in (everything[index] for index in drawn):
+    for run, name, predicted, record in (everything[index] for index in worth_drawing(result)):
         file = "recorded.png" if len(runs) == 1 else f"recorded_{name}.png"
         partly = held.get((run.name, run.sha256))
         files[file] = to_png(recorded_figure(result, run, predicted, record, partly))

@@ -38,19 +38,14 @@ def corner_figure(found: Posterior, result: FitResult) -> Figure:
     """Histograms of the parameters, and dots for each pair of them, in the columns' units.
 
     Over each histogram the linear interval of the fit; draws that diverged are red.
-
-    Arguments:
-        found: the posterior.
-        result: of the fit that it is of.
     """
     labels = _shown(found)
     factors = column_factors(result.model)
     draws = {
         label: found.draws_of(label).ravel() * factors.get(_path(label), 1.0) for label in labels
     }
-    count = len(labels)
+    count, more = len(labels), len(found.labels) - len(labels)
     size = max(1.7 * count, 4.2)
-    more = len(found.labels) - count
     title = f"Posterior{unfinished(result)}" + (f"; {more} more parameters" if more else "")
     figure = new_figure(size + 1.2, size + 0.9, title)
     grid = figure.subplots(count, count, sharex="col", squeeze=False)
@@ -67,13 +62,13 @@ def corner_figure(found: Posterior, result: FitResult) -> Figure:
             if column == row:
                 axes.hist(draws[below], bins=_BINS, color=BLUE, alpha=0.6)
                 axes.set_yticks([])
-                _linear(axes, found, below, factors.get(_path(below), 1.0))
+                for end in found.summary.parameters[below].linear or ():
+                    end *= factors.get(_path(below), 1.0)
+                    axes.axvline(end, color=INK, linewidth=0.9, linestyle="--")
             else:
                 _dots(axes, draws[across], draws[below], diverging)
-                if column == 0:
-                    axes.set_ylabel(_short(below))
-                else:
-                    axes.tick_params(labelleft=False)
+                axes.tick_params(labelleft=column == 0)
+                axes.set_ylabel("" if column else _short(below))
             if row == count - 1:
                 axes.set_xlabel(_short(across))
     handles = [
@@ -109,12 +104,6 @@ def _shown(found: Posterior) -> list[str]:
     return [label for label in found.labels if label in kept]
 
 
-def _linear(axes: Axes, found: Posterior, label: str, factor: float) -> None:
-    linear = found.summary.parameters[label].linear
-    for end in linear or ():
-        axes.axvline(end * factor, color=INK, linewidth=0.9, linestyle="--")
-
-
 def _dots(axes: Axes, across: np.ndarray, up: np.ndarray, diverging: np.ndarray) -> None:
     kept = np.unique(np.linspace(0, len(up) - 1, _MOST_DOTS).round().astype(int))
     style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0}
@@ -128,15 +117,14 @@ def bands_figure(
     """Recorded values against where they are predicted to be, in the units of their files.
 
     Of many channels those with the most cells outside of their band.
-
-    Arguments:
-        runs: what was fitted.
-        bands: of each run, by channel.
-        result: of the fit.
     """
     panels = [(at, name) for at, by_channel in enumerate(bands) for name in by_channel]
-    by_within = sorted(panels, key=lambda each: _within(bands[each[0]][each[1]]))
-    kept = by_within[:_MOST_PANELS]
+
+    def within(panel: tuple[int, str]) -> float:
+        band = bands[panel[0]][panel[1]]
+        return 1.0 if band.within is None else band.within
+
+    kept = sorted(panels, key=within)[:_MOST_PANELS]
     drawn = [panel for panel in panels if panel in kept]
     columns = 1 if len(drawn) == 1 else 2 if len(drawn) <= 6 else 3
     rows = -(-len(drawn) // columns)
@@ -153,19 +141,14 @@ def bands_figure(
         _draw_band(axes, runs[at], name, bands[at][name], several=len(runs) > 1)
         if position + columns >= len(drawn):
             axes.set_xlabel(time_label(runs[at]))
+    dots: dict[str, Any] = {"marker": "o", "ls": "none", "markersize": 3, "color": GREY}
     handles = [
-        Line2D(
-            [], [], marker="o", ls="none", markersize=3, color=GREY, label="recorded less median"
-        ),
+        Line2D([], [], label="recorded less median", **dots),
         Patch(color=VERMILLION, alpha=0.5, label="95 % by the parameters"),
         Patch(color=BLUE, alpha=0.15, label="and by noise"),
     ]
     figure.legend(handles=handles, loc="outside lower center", fontsize=8, frameon=False, ncols=3)
     return figure
-
-
-def _within(band: Band) -> float:
-    return 1.0 if band.within is None else band.within
 
 
 def _draw_band(axes: Axes, run: Run, name: str, band: Band, *, several: bool) -> None:
@@ -198,40 +181,22 @@ POSTERIOR_FILES = (POSTERIOR, CORNER, BANDS, TABLE, *DRAWS)
 
 
 def posterior_rows(summary: PosteriorSummary, result: FitResult) -> list[list[str]]:
-    """A row of text for each parameter, under `POSTERIOR_HEADINGS`, in the columns' units.
-
-    Arguments:
-        summary: of the posterior.
-        result: of the fit that it is of.
-    """
-    return [_row(label, one) for label, one in in_units_of(summary, result).items()]
-
-
-def in_units_of(summary: PosteriorSummary, result: FitResult) -> dict[str, Marginal]:
-    """What is known of each parameter, in the columns' units."""
+    """A row of text for each parameter, under `POSTERIOR_HEADINGS`, in the columns' units."""
     factors = column_factors(result.model)
     units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
-    found = {}
+    rows = []
     for label, one in summary.parameters.items():
-        path = label.partition(" of ")[0]
-        factor = factors.get(path.partition("[")[0], 1.0)
-        found[label] = one.times(factor, units.get(path, one.unit))
-    return found
+        unit = units.get(label.partition(" of ")[0], one.unit)
+        rows.append(_row(label, one.times(factors.get(_path(label), 1.0), unit)))
+    return rows
 
 
 def _row(label: str, one: Marginal) -> list[str]:
-    digits = _digits(one)
-    return [
-        label,
-        one.unit or "-",
-        f"{one.mean:.{digits}g}",
-        f"{one.deviation:.2g}",
-        format_range(one.interval, f".{digits}g"),
-        format_range(one.linear, f".{digits}g"),
-        format_number(one.r_hat, ".3f"),
-        format_number(one.ess_bulk, ".0f"),
-        format_number(one.ess_tail, ".0f"),
-    ]
+    digits = f".{_digits(one)}g"
+    ranges = [format_range(ends, digits) for ends in (one.interval, one.linear)]
+    sizes = [format_number(ess, ".0f") for ess in (one.ess_bulk, one.ess_tail)]
+    about = [label, one.unit or "-", f"{one.mean:{digits}}", f"{one.deviation:.2g}"]
+    return [*about, *ranges, format_number(one.r_hat, ".3f"), *sizes]
 
 
 def _digits(one: Marginal) -> int:
@@ -246,19 +211,14 @@ def posterior_files(found: Posterior, result: FitResult, runs: Sequence[Run]) ->
 
     `posterior.json` is the summary; `posterior.nc` has the draws, as ArviZ reads them, or without
     ArviZ `posterior.npz`; `posterior.png` shows pairs of parameters, and `posterior_bands.csv` and
-    `.png` where each channel is predicted to be.
-
-    Arguments:
-        found: the posterior.
-        result: of the fit that it is of.
-        runs: what was fitted, in their order.
+    `.png` where each channel is predicted to be. The runs are in the order in which they were
+    fitted.
     """
-    names = unique_names(runs)
     name, draws = draws_file(found)
     return {
         POSTERIOR: found.summary.to_json().encode(),
         name: draws,
-        TABLE: bands_table(runs, names, found.bands),
+        TABLE: _bands_table(runs, found.bands),
         CORNER: to_png(corner_figure(found, result)),
         BANDS: to_png(bands_figure(runs, found.bands, result)),
     }
@@ -270,13 +230,12 @@ def draws_file(found: Posterior) -> tuple[str, bytes]:
         tree = found.to_arviz()
     except InputError:
         buffer = io.BytesIO()
-        np.savez_compressed(
-            buffer,
-            parameters=np.array(found.labels),
-            samples=found.samples,
-            lp=-found.energy,
-            diverging=found.diverging,
-        )
+        draws: dict[str, Any] = {
+            "samples": found.samples,
+            "lp": -found.energy,
+            "diverging": found.diverging,
+        }
+        np.savez_compressed(buffer, parameters=np.array(found.labels), **draws)
         return DRAWS[1], buffer.getvalue()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / DRAWS[0]
@@ -284,20 +243,12 @@ def draws_file(found: Posterior) -> tuple[str, bytes]:
         return DRAWS[0], path.read_bytes()
 
 
-def bands_table(
-    runs: Sequence[Run], names: Sequence[str], bands: Sequence[Mapping[str, Band]]
-) -> bytes:
-    """Where each channel is predicted to be, a row for each run, channel and sample, as CSV.
-
-    Arguments:
-        runs: what was fitted.
-        names: of the runs, each another one.
-        bands: of each run, by channel.
-    """
+def _bands_table(runs: Sequence[Run], bands: Sequence[Mapping[str, Band]]) -> bytes:
+    """Where each channel is predicted to be, a row for each run, channel and sample, as CSV."""
     words = ("run", "channel", "unit")
     numbers = ("time_s", "recorded", "median", "low", "high", "low_with_noise", "high_with_noise")
     columns: dict[str, list[object]] = {name: [] for name in (*words, *numbers)}
-    for run, name, by_channel in zip(runs, names, bands, strict=True):
+    for run, name, by_channel in zip(runs, unique_names(runs), bands, strict=True):
         times = sample_times(run)
         for channel, band in by_channel.items():
             about = run.channels[channel]
@@ -357,24 +308,17 @@ def _section(summary: PosteriorSummary, result: FitResult, folder: Path) -> Page
         table=_table(summary, result),
         note=note,
         pictures=[
-            (data, words)
-            for name, words in _PICTURES.items()
-            if (data := _picture(folder / name)) is not None
+            (data, words) for name, words in _PICTURES.items() if (data := _picture(folder / name))
         ],
     )
 
 
-def _picture(path: Path) -> str | None:
+def _picture(path: Path) -> str:
     try:
         content = read_bytes(path, _MOST_BYTES)
     except (OSError, InputError):
-        return None
+        return ""
     return "data:image/png;base64," + base64.b64encode(content).decode()
 
 
-POSTERIOR_VIEW = RecordView(
-    record=PosteriorSummary,
-    table=_table,
-    sentences=_sentences,
-    section=_section,
-)
+RecordView(place=3, record=PosteriorSummary, table=_table, sentences=_sentences, section=_section)

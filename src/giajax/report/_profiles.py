@@ -1,8 +1,7 @@
 """Profiles as a table, a picture and a section of a page, in the units of the columns."""
 
-import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +12,18 @@ from ..fitting import Estimate, FitResult, in_column_units
 from ..models import AbstractModel
 from ..runtime.text import format_estimate, format_range
 from ..studies import Profile, Profiles
-from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, new_plot, plain, small
+from ._style import (
+    BLUE,
+    GREY,
+    LIGHT,
+    VERMILLION,
+    embedded,
+    grid_of,
+    new_figure,
+    new_plot,
+    plain,
+    small,
+)
 from ._views import PageSection, RecordView, Table
 
 PROFILE_HEADINGS = ("quantity", "value", "error", "unit", "by the error", "by profile", "remark")
@@ -28,15 +38,10 @@ _ABOVE = 1.6
 class ProfileCurve(NamedTuple):
     """What a picture of a profile shows, in the unit of the columns.
 
-    Attributes:
-        name, unit: of the quantity.
-        values, deviances: of the points; the deviance from the lowest.
-        bounded: which of them have another parameter at a bound that is at none in the fit.
-        line: the parabola of the standard error at `over`; empty without one.
-        between, smooth: values and deviances of the line through the points, whose root is smooth.
-        over: values of the parabola.
-        level: deviance at which the interval ends.
-        interval: its ends, None where there is none.
+    Deviances are those of the points from the lowest; `bounded` are points with another parameter
+    at a bound that is at none in the fit. The line through them, whose root is smooth, has values
+    `between`; the parabola of the standard error, if there is one, is the `line` at `over`. The
+    interval ends at the deviance `level`.
     """
 
     name: str
@@ -58,47 +63,37 @@ def profile_rows(profiles: Profiles, result: FitResult) -> list[list[str]]:
     for profile in profiles.profiles.values():
         factor, unit = _in_columns(profile, result.model)
         error = None if profile.standard_error is None else profile.standard_error * factor
-        value, shown_error = format_estimate(profile.value * factor, error)
-        linear = format_range(profile.linear, factor=factor)
-        found = format_range(profile.interval, factor=factor)
-        remarks = "; ".join(profile.remarks)
-        rows.append([profile.name, value, shown_error, unit or "-", linear, found, remarks])
+        numbers = format_estimate(profile.value * factor, error)
+        ranges = [format_range(ends, factor=factor) for ends in (profile.linear, profile.interval)]
+        rows.append([profile.name, *numbers, unit or "-", *ranges, "; ".join(profile.remarks)])
     return rows
-
-
-def profile_curves(profiles: Profiles, result: FitResult) -> list[ProfileCurve]:
-    """What there is to draw, without profiles of a single point."""
-    drawn = [one for one in profiles.profiles.values() if len(one.points) > 1]
-    return [_curve(one, result) for one in drawn]
 
 
 def profile_figure(profiles: Profiles, result: FitResult, title: str = "Profiles") -> Figure:
     """Deviances over their quantities, with the parabolas of the standard errors.
 
-    Arguments:
-        profiles: of the fit.
-        result: the fit.
-        title: of the whole.
-
-    Returns:
-        The picture; of many profiles the first twelve.
+    Of many profiles it shows the first twelve.
     """
-    curves = profile_curves(profiles, result)[:_MOST]
+    curves = _curves(profiles, result, _MOST)
     across = max(min(_ACROSS, len(curves)), 1)
     down = -(-max(len(curves), 1) // across)
     figure = new_figure(3.6 * across, 2.7 * down + 0.6, title)
-    for place, curve in enumerate(curves):
-        axes = figure.add_subplot(down, across, place + 1)
+    for axes, curve in zip(grid_of(figure, len(curves), across), curves, strict=True):
         _draw(axes, curve)
     if curves:
-        handles = figure.axes[0].get_legend_handles_labels()
-        for axes in figure.axes[1:]:
+        handles: dict[str, Any] = {}
+        for axes in figure.axes:
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                if label not in handles[1]:
-                    handles[0].append(handle)
-                    handles[1].append(label)
-        figure.legend(*handles, loc="outside lower left", ncols=4, fontsize=8, frameon=False)
+                handles.setdefault(label, handle)
+        place: dict[str, Any] = {"loc": "outside lower left", "ncols": 4}
+        figure.legend(handles.values(), handles.keys(), fontsize=8, frameon=False, **place)
     return figure
+
+
+def _curves(profiles: Profiles, result: FitResult, most: int) -> list[ProfileCurve]:
+    """What there is to draw, without profiles of a single point."""
+    drawn = [one for one in profiles.profiles.values() if len(one.points) > 1]
+    return [_curve(one, result) for one in drawn[:most]]
 
 
 def _curve(profile: Profile, result: FitResult) -> ProfileCurve:
@@ -119,7 +114,7 @@ def _curve(profile: Profile, result: FitResult) -> ProfileCurve:
     shown = _shown(deviances, level)
     between = np.linspace(values[shown][0], values[shown][-1], 161)
     smooth = PchipInterpolator(values[shown], roots[shown])(between) ** 2
-    low_end, high_end = profile.interval
+    low_end, high_end = (None if end is None else end * factor for end in profile.interval)
     return ProfileCurve(
         name=profile.name,
         unit=unit,
@@ -131,10 +126,7 @@ def _curve(profile: Profile, result: FitResult) -> ProfileCurve:
         over=over * factor,
         line=line,
         level=level,
-        interval=(
-            None if low_end is None else low_end * factor,
-            None if high_end is None else high_end * factor,
-        ),
+        interval=(low_end, high_end),
     )
 
 
@@ -180,7 +172,7 @@ def _table(found: Profiles, result: FitResult, most: int | None = None) -> Table
 
 
 def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:
-    curves = profile_curves(found, result)[:_MOST_ON_PAGE]
+    curves = _curves(found, result, _MOST_ON_PAGE)
     return PageSection(
         id="profiles",
         name="Profiles",
@@ -197,8 +189,7 @@ def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:
 
 def _plot(curve: ProfileCurve) -> str:
     """A profile with the parabola of the standard error, as what BokehJS embeds."""
-    from bokeh.embed import json_item
-    from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Span
+    from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 
     top = _ABOVE * curve.level
     plot = new_plot(200, curve.unit or "-", "deviance", y_range=(-0.05 * top, top))
@@ -217,20 +208,21 @@ def _plot(curve: ProfileCurve) -> str:
     )
     dots = plot.scatter("x", "y", source=source, size=5, color="colour")
     tips = [(curve.name, "@x{0.0000a}"), ("deviance", "@y{0.000}")]
-    plot.add_tools(HoverTool(renderers=[dots], tooltips=tips))
-    return json.dumps(json_item(plot))
+    return embedded(plot, dots, tips)
 
 
-def _title(result: FitResult) -> str:
-    return f"{', '.join(record.name for record in result.runs[:3])}: profiles"
+def _figure(found: Profiles, result: FitResult) -> Figure:
+    names = ", ".join(record.name for record in result.runs[:3])
+    return profile_figure(found, result, f"{names}: profiles")
 
 
-PROFILE_VIEW = RecordView(
+RecordView(
+    place=0,
     record=Profiles,
     table=_table,
     sentences=lambda found, most: [
         f"intervals of {found.level:.3g}; 'open' where the data give no end"
     ],
-    figure=lambda found, result: profile_figure(found, result, _title(result)),
+    figure=_figure,
     section=_section,
 )

@@ -1,6 +1,6 @@
 """Repetitions of a fit, and the influence of its data: tables, sentences, pictures, sections."""
 
-import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +10,20 @@ from matplotlib.figure import Figure
 from ..fitting import FitResult
 from ..runtime.text import format_estimate, format_number
 from ..studies import Bootstrap, Influence, LeftOut, Repeated
-from ._style import BLUE, GREY, INK, LIGHT, VERMILLION, new_figure, new_plot, plain
+from ._style import (
+    BLUE,
+    GREY,
+    INK,
+    LIGHT,
+    VERMILLION,
+    embedded,
+    grid_of,
+    new_figure,
+    new_plot,
+    plain,
+    plain_colorbar,
+)
 from ._views import PageSection, RecordView, Table
-
-BOOTSTRAP, INFLUENCE = "bootstrap.json", "influence.json"
-"""Names of the files beside a `result.json`."""
 
 _ACROSS = 3
 # More histograms than these are small print, and on a page still fewer are enough.
@@ -29,20 +38,19 @@ def bootstrap_table(found: Bootstrap) -> tuple[list[str], list[list[str]]]:
     headings = ["parameter", "value", "error", "unit", "bias / error", "spread / error"]
     headings += ["percentile interval", "basic interval"]
     judged = any(one.coverage is not None for one in found.parameters.values())
-    rows = []
-    for path, one in found.parameters.items():
-        cells = [
+    rows = [
+        [
             path,
             *format_estimate(one.value, one.standard_error),
             one.unit or "-",
-            _with_error(one.bias, one.bias_error, signed=True),
+            _with_error(one.bias, one.bias_error, "+"),
             _with_error(one.ratio, one.ratio_error),
             _ends(one, one.percentile),
             _ends(one, one.basic),
+            *([_coverage(one)] if judged else []),
         ]
-        if judged:
-            cells.append(_coverage(one))
-        rows.append(cells)
+        for path, one in found.parameters.items()
+    ]
     return [*headings, *(["coverage"] if judged else [])], rows
 
 
@@ -56,16 +64,14 @@ def bootstrap_summary(found: Bootstrap) -> list[str]:
     if found.size < found.asked:
         sentences.append(f"{found.asked - found.size} of {found.asked} were not done")
     share = 100 * found.came_back / found.size
-    sentence = f"{found.came_back} of {found.size} fits came back ({share:.3g} %)"
-    if found.reasons:
-        ended = ", ".join(f"{reason} {count}" for reason, count in found.reasons.items())
-        sentence += f"; the others were ended by: {ended}"
-    sentences.append(sentence)
-    for path, count in found.at_bounds.items():
-        sentences.append(f"{path} ended at a bound in {count} of {found.came_back}")
+    others = f"; the others were ended by: {_listed(found.reasons)}" if found.reasons else ""
+    sentences.append(f"{found.came_back} of {found.size} fits came back ({share:.3g} %){others}")
+    sentences += [
+        f"{path} ended at a bound in {count} of {found.came_back}"
+        for path, count in found.at_bounds.items()
+    ]
     if found.block_lengths:
-        lengths = ", ".join(f"{name} {length}" for name, length in found.block_lengths.items())
-        sentences.append(f"samples in a block: {lengths}")
+        sentences.append(f"samples in a block: {_listed(found.block_lengths)}")
     if found.noise_factor != 1:
         sentences.append(
             f"the noise is {found.noise_factor:.3g} times as large as stated, as the residuals are"
@@ -73,30 +79,27 @@ def bootstrap_summary(found: Bootstrap) -> list[str]:
     return [*sentences, *found.failures, *found.notes]
 
 
+def _listed(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counts.items())
+
+
+def _drawn(found: Bootstrap, most: int) -> list[tuple[str, Repeated]]:
+    return [(path, one) for path, one in found.parameters.items() if len(one.values) > 1][:most]
+
+
 def bootstrap_figure(found: Bootstrap, title: str = "") -> Figure:
-    """Where the repetitions ended, over what the standard error of the result lets expect.
-
-    Arguments:
-        found: the repetitions.
-        title: of the whole.
-
-    Returns:
-        The picture.
-    """
+    """Where the repetitions ended, over what the standard error of the result lets expect."""
     # Slow to import, and asked for by this picture alone.
     from scipy.stats import norm
 
-    drawn = [(path, one) for path, one in found.parameters.items() if len(one.values) > 1][
-        :_MOST_DRAWN
-    ]
+    drawn = _drawn(found, _MOST_DRAWN)
     across = min(_ACROSS, max(len(drawn), 1))
     down = -(-max(len(drawn), 1) // across)
     title = title or f"{found.came_back} repetitions, {found.method}"
     figure = new_figure(3.5 * across + 0.3, 2.5 * down + 0.5, title)
     if not drawn:
         figure.text(0.5, 0.4, "no two repetitions came back", color=GREY, ha="center")
-    for place, (path, one) in enumerate(drawn):
-        axes = figure.add_subplot(down, across, place + 1)
+    for (path, one), axes in zip(drawn, grid_of(figure, len(drawn), across), strict=True):
         values = np.asarray(one.values)
         axes.hist(
             values, bins=_bins(values), density=True, color=LIGHT, edgecolor=GREY, linewidth=0.4
@@ -116,16 +119,13 @@ def bootstrap_figure(found: Bootstrap, title: str = "") -> Figure:
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
         axes.locator_params(axis="x", nbins=5)
-        if place == 0:
-            axes.legend(fontsize=7, frameon=False, labelcolor=INK)
+    if drawn:
+        figure.axes[0].legend(fontsize=7, frameon=False, labelcolor=INK)
     return figure
 
 
-def _with_error(value: float | None, error: float | None, *, signed: bool = False) -> str:
-    if value is None or error is None:
-        return "-"
-    sign = "+" if signed else ""
-    return f"{value:{sign}.2f} +- {error:.2f}"
+def _with_error(value: float | None, error: float | None, sign: str = "") -> str:
+    return "-" if value is None or error is None else f"{value:{sign}.2f} +- {error:.2f}"
 
 
 def _ends(one: Repeated, ends: tuple[float, float] | None) -> str:
@@ -144,7 +144,6 @@ def _coverage(one: Repeated) -> str:
 
 def _bootstrap_section(found: Bootstrap, result: FitResult, folder: Path) -> PageSection:
     first, *others = bootstrap_summary(found)
-    drawn = [(path, one) for path, one in found.parameters.items() if len(one.values) > 1]
     return PageSection(
         id="repetitions",
         name="Repeated",
@@ -152,7 +151,7 @@ def _bootstrap_section(found: Bootstrap, result: FitResult, folder: Path) -> Pag
         intro=f"{first}.",
         table=Table(*bootstrap_table(found)),
         sentences=others,
-        plots=[(path, _histogram(one)) for path, one in drawn[:_MOST_ON_PAGE]],
+        plots=[(path, _histogram(one)) for path, one in _drawn(found, _MOST_ON_PAGE)],
         note="Bars: where the repetitions ended; dashed: the result, which made their data; red: "
         "95 % of them lie between.",
     )
@@ -163,8 +162,7 @@ def _bins(values: np.ndarray) -> int:
 
 
 def _histogram(one: Repeated) -> str:
-    from bokeh.embed import json_item
-    from bokeh.models import HoverTool, Span
+    from bokeh.models import Span
 
     values = np.asarray(one.values)
     counts, edges = np.histogram(values, bins=_bins(values))
@@ -178,11 +176,11 @@ def _histogram(one: Repeated) -> str:
         Span(location=one.value, dimension="height", line_color=BLUE, line_dash="dashed")
     )
     tips = [("from", "@left"), ("to", "@right"), ("repetitions", "@top")]
-    plot.add_tools(HoverTool(renderers=[bars], tooltips=tips))
-    return json.dumps(json_item(plot))
+    return embedded(plot, bars, tips)
 
 
-BOOTSTRAP_VIEW = RecordView(
+RecordView(
+    place=1,
     record=Bootstrap,
     table=lambda found, result, most: Table(*bootstrap_table(found)),
     sentences=lambda found, most: bootstrap_summary(found),
@@ -202,20 +200,17 @@ def influence_table(found: Influence, most: int | None = None) -> tuple[list[str
 
     Under each parameter its shift in standard errors and, in brackets, what its error would be
     without the part, in the same.
-
-    Arguments:
-        found: the influence.
-        most: rows; all by default.
     """
     paths = _columns(found)
     headings = ["left out", "kind", "cells", "by", "over expected", *paths]
-    rows = []
-    for part in found.parts[:most]:
-        by = "fit" if part.exact is not None else "step"
-        surprise = format_number(part.surprise, ".1f")
-        shown = [_cell(part, path) for path in paths]
-        rows.append([part.name, part.kind, str(part.cells), by, surprise, *shown])
-    return headings, rows
+    return headings, [
+        [
+            *(part.name, part.kind, str(part.cells), "step" if part.exact is None else "fit"),
+            format_number(part.surprise, ".1f"),
+            *(_cell(part, path) for path in paths),
+        ]
+        for part in found.parts[:most]
+    ]
 
 
 def influence_summary(found: Influence) -> list[str]:
@@ -238,15 +233,7 @@ def influence_summary(found: Influence) -> list[str]:
 
 
 def influence_figure(found: Influence, title: str = "") -> Figure:
-    """A map of the shifts: parts by parameters, the largest shift first.
-
-    Arguments:
-        found: the influence.
-        title: of the whole.
-
-    Returns:
-        The picture.
-    """
+    """A map of the shifts: parts by parameters, the largest shift first."""
     parts, paths = found.parts[:_MOST_PARTS], _columns(found)[:_MOST_COLUMNS]
     title = title or "Shift of each parameter without a part of the data, in standard errors"
     figure = new_figure(3.2 + 1.2 * max(len(paths), 2), 1.8 + 0.26 * len(parts), title)
@@ -266,12 +253,9 @@ def influence_figure(found: Influence, title: str = "") -> Figure:
         colour = "white" if strong else INK
         axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
     axes.set_yticks(range(len(parts)), [f"{part.kind} {part.name}" for part in parts])
-    names = [path.replace(".", ".\n", 1) for path in paths]
-    axes.set_xticks(range(len(paths)), names)
+    axes.set_xticks(range(len(paths)), [path.replace(".", ".\n", 1) for path in paths])
     axes.xaxis.tick_top()
-    bar = figure.colorbar(image, ax=axes, pad=0.02)
-    bar.ax.tick_params(labelsize=8, length=0, labelcolor=INK)
-    bar.outline.set_visible(False)
+    plain_colorbar(axes, image, pad=0.02)
     if len(found.parts) > len(parts):
         axes.set_xlabel(f"{len(found.parts) - len(parts)} more parts move less", color=GREY)
     return figure
@@ -296,10 +280,11 @@ def _cell(part: LeftOut, path: str) -> str:
 def _influence_sentences(found: Influence, most: int | None) -> list[str]:
     more = 0 if most is None else len(found.parts) - most
     left_out = [f"and {more} more, which move less (--most)"] if more > 0 else []
-    return [*left_out, *influence_summary(found)]
+    return left_out + influence_summary(found)
 
 
-INFLUENCE_VIEW = RecordView(
+RecordView(
+    place=2,
     record=Influence,
     table=lambda found, result, most: Table(*influence_table(found, most), 2),
     sentences=_influence_sentences,

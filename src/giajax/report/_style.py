@@ -1,7 +1,8 @@
 """How all pictures look, and how they become files. Touches nothing global of matplotlib."""
 
 import io
-from collections.abc import Iterable, Mapping, Sequence
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,10 +38,8 @@ def plain(axes: Axes, title: str = "", across: str = "", up: str = "") -> None:
     """A light grid, two spines, small print; a title and labels where they are given."""
     axes.grid(True, color=LIGHT, linewidth=0.6)
     axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(GREY)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(GREY)
     axes.tick_params(labelsize=8, color=GREY, labelcolor=INK, length=3)
     if across:
         axes.set_xlabel(across)
@@ -50,6 +49,14 @@ def plain(axes: Axes, title: str = "", across: str = "", up: str = "") -> None:
     axes.yaxis.label.set_fontsize(8)
     if title:
         axes.set_title(title, fontsize=9, loc="left", color=INK)
+
+
+def plain_colorbar(axes: Axes, image: Any, **place: Any) -> Any:
+    """A bar of the colours of an image in small print, without a frame."""
+    bar = axes.figure.colorbar(image, ax=axes, **place)
+    bar.ax.tick_params(labelsize=8, length=0, labelcolor=INK)
+    bar.outline.set_visible(False)
+    return bar
 
 
 def unfinished(result: FitResult) -> str:
@@ -90,8 +97,7 @@ def new_plot(height: int, across: str, up: str, **more: Any) -> Any:
     plot.grid.grid_line_alpha = 0.5
     for axis in plot.axis:
         axis.axis_label_text_font_style = "normal"
-        axis.axis_label_text_font_size = "11px"
-        axis.major_label_text_font_size = "11px"
+        axis.axis_label_text_font_size = axis.major_label_text_font_size = "11px"
         axis.minor_tick_line_color = None
     plot.yaxis.ticker.desired_num_ticks = 6 if height > 180 else 4
     return plot
@@ -107,19 +113,26 @@ def columns_of(headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[s
     return {heading: [row[at] for row in rows] for at, heading in enumerate(headings)}
 
 
+def embedded(plot: Any, renderer: Any, tips: list[tuple[str, str]]) -> str:
+    """What BokehJS embeds, as JSON: the plot, whose renderer shows the tips."""
+    from bokeh.embed import json_item
+    from bokeh.models import HoverTool
+
+    plot.add_tools(HoverTool(renderers=[renderer], tooltips=tips))
+    return json.dumps(json_item(plot))
+
+
+def grid_of(figure: Figure, count: int, across: int) -> Iterator[Axes]:
+    """So many panels, row by row, of at most `across` columns."""
+    across = max(min(across, count), 1)
+    for place in range(count):
+        yield figure.add_subplot(-(-count // across), across, place + 1)
+
+
 def to_csv(columns: Mapping[str, Iterable[Any]]) -> bytes:
-    """Columns of equal length as a CSV file, numbers with nine digits.
-
-    Arguments:
-        columns: words, numbers or truth values, by heading.
-
-    Returns:
-        The content of the file.
-    """
-    rows = zip(*columns.values(), strict=True)
-    return (
-        "\n".join([",".join(columns), *(",".join(map(_cell, row)) for row in rows)]) + "\n"
-    ).encode()
+    """Words, numbers (with nine digits) or truth values by heading, as a CSV file."""
+    rows = [",".join(map(_cell, row)) for row in zip(*columns.values(), strict=True)]
+    return ("\n".join([",".join(columns), *rows]) + "\n").encode()
 
 
 def _cell(value: Any) -> str:
@@ -145,9 +158,6 @@ def draw_scene(
     """Draw one sample of a scene, to scale: bodies in grey, threads, and markers as dots.
 
     Arguments:
-        panel: where.
-        scene: what a model's `scene` gives.
-        sample: which sample.
         axes: which two coordinates are seen: "xz" from the side, "xy" from above.
         colours: of lines by name; grey for bodies and blue for threads by default.
         widths: of threads by name, points; 1.4 by default.
@@ -171,13 +181,7 @@ def draw_scene(
 
 
 def draw_blocks(panel: Axes, blocks: Sequence[Block], *, axes: str = "xz") -> None:
-    """Draw what stands around, as it is seen from one side; the limits of the panel stay.
-
-    Arguments:
-        panel: where, with its limits set.
-        blocks: of a scene.
-        axes: which two coordinates are seen, as of `draw_scene`.
-    """
+    """Draw what stands around, seen as by `draw_scene`; the limits of the panel stay."""
     seen, limits = ["xyz".index(name) for name in axes], (panel.get_xlim(), panel.get_ylim())
     signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
     for block in blocks:

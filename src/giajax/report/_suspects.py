@@ -1,14 +1,14 @@
 """Suspects, stepwise selection and systematic errors as tables of text cells."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from ..fitting import Estimate, FitResult, Suspect, SystematicError
 from ..runtime.text import format_estimate, format_number
-from ..studies import LEVEL, Contrast, Step, StepwiseSelection, Suspects, promising, together
+from ..studies import LEVEL, Contrast, StepwiseSelection, Suspects, promising, together
 
 Rows = list[list[str]]
 
@@ -16,20 +16,19 @@ SUSPECT_HEADINGS = ("suspect", "held at", "estimate", "error", "unit", "chi-squa
 
 
 def suspect_rows(found: Suspects, most: int = 10) -> Rows:
-    """The most promising suspects, a row each under `SUSPECT_HEADINGS`.
-
-    Arguments:
-        found: the tests.
-        most: rows; significant ones are shown in any case.
-    """
+    """The most promising suspects under `SUSPECT_HEADINGS`, and all that are significant."""
     shown = found.promising[: max(most, len(found.significant))]
     return [_cells(row) for row in shown if row.chi_square_drop]
 
 
 def first_suspects(result: FitResult, most: int = 3) -> Rows:
     """The first suspects that a result carries, as `suspect_rows`."""
-    shown = [row for row in promising(result.suspects) if (row.p_value or 0.0) < LEVEL]
-    return [_cells(row) for row in shown[:most]]
+    return [_cells(row) for row in significant(result)[:most]]
+
+
+def significant(result: FitResult) -> list[Suspect]:
+    """The suspects of a result that are significant, the most promising first."""
+    return [row for row in promising(result.suspects) if (row.p_value or 0.0) < LEVEL]
 
 
 def _cells(row: Suspect) -> list[str]:
@@ -80,21 +79,19 @@ def stepwise_table(found: StepwiseSelection) -> tuple[list[str], Rows]:
     first = list(found.steps[0].result.free)
     held_out = any(step.held_out is not None for step in found.steps)
     headings = ["added", "chi-square", "AIC", "BIC", *(["held out"] if held_out else []), *first]
-    return headings, [_step_row(step, first, held_out=held_out) for step in found.steps]
+    return headings, [
+        [
+            step.change,
+            *(f"{number:.5g}" for number in (step.chi_square, step.aic, step.bic)),
+            *([format_number(step.held_out, ".3g")] if held_out else []),
+            *(_estimate(step.result.parameters.get(path)) for path in first),
+        ]
+        for step in found.steps
+    ]
 
 
-def _step_row(step: Step, paths: Sequence[str], *, held_out: bool) -> list[str]:
-    numbers = [step.chi_square, step.aic, step.bic]
-    cells = [step.change, *(f"{number:.5g}" for number in numbers)]
-    if held_out:
-        cells.append(format_number(step.held_out, ".3g"))
-    for path in paths:
-        estimate = step.result.parameters.get(path)
-        if estimate is None:
-            cells.append("-")
-            continue
-        cells.append(" +- ".join(format_estimate(estimate.value, estimate.standard_error)))
-    return cells
+def _estimate(one: Estimate | None) -> str:
+    return "-" if one is None else " +- ".join(format_estimate(one.value, one.standard_error))
 
 
 def systematic_table(result: FitResult) -> tuple[list[str], Rows]:
@@ -103,30 +100,24 @@ def systematic_table(result: FitResult) -> tuple[list[str], Rows]:
     Below them the statistical error, that of what was stated, and both in quadrature, in the unit
     of the parameter.
     """
-    free = list(result.free)
-    rows = [_held(result, error, free) for error in result.systematic]
-    stated = together(result.systematic)
-    statistical = [result.free[path].standard_error for path in free]
-    rows.append(["statistical error", "", "", *_errors(statistical)])
-    if stated:
-        systematic = [stated.get(path, 0.0) for path in free]
-        both = [
+    statistical = {path: one.standard_error for path, one in result.free.items()}
+    rows = [_held(error, statistical) for error in result.systematic]
+    below: dict[str, Iterable[float | None]] = {"statistical error": statistical.values()}
+    if stated := together(result.systematic):
+        systematic = [stated.get(path, 0.0) for path in statistical]
+        below["systematic error"] = systematic
+        below["both"] = [
             None if error is None else float(np.hypot(error, other))
-            for error, other in zip(statistical, systematic, strict=True)
+            for error, other in zip(statistical.values(), systematic, strict=True)
         ]
-        rows.append(["systematic error", "", "", *_errors(systematic)])
-        rows.append(["both", "", "", *_errors(both)])
-    return ["held", "at", "changed by", *free], rows
+    for name, errors in below.items():
+        rows.append([name, "", "", *(format_number(value, ".3g") for value in errors)])
+    return ["held", "at", "changed by", *statistical], rows
 
 
-def _errors(values: Sequence[float | None]) -> list[str]:
-    return [format_number(value, ".3g") for value in values]
-
-
-def _held(result: FitResult, error: SystematicError, free: Sequence[str]) -> list[str]:
+def _held(error: SystematicError, statistical: Mapping[str, float | None]) -> list[str]:
     cells = []
-    for path in free:
-        one = result.free[path].standard_error
+    for path, one in statistical.items():
         shift = error.shifts[path]
         cells.append(f"{shift / one:+.2g}" if one else format_number(shift, ".3g"))
     change = f"{error.uncertainty:.3g}{f' {error.unit}' if error.unit else ''}"
@@ -154,34 +145,32 @@ def contrast_tables(found: Contrast) -> tuple[tuple[list[str], Rows], tuple[list
         + [format_number(difference, "+.2g") for difference in row.differences[1:]]
         for row in found.rows
     ]
+    columns = found.columns
     about = {
-        "model": [column.model for column in found.columns],
-        "status": [column.status.replace("_", " ") for column in found.columns],
-        "verdict": [column.verdict for column in found.columns],
-        "values": [str(column.values) for column in found.columns],
-        "parameters": [str(column.parameters) for column in found.columns],
-        "reduced chi-square": [
-            format_number(column.reduced_chi_square) for column in found.columns
-        ],
+        "model": [column.model for column in columns],
+        "status": [column.status.replace("_", " ") for column in columns],
+        "verdict": [column.verdict for column in columns],
+        "values": [str(column.values) for column in columns],
+        "parameters": [str(column.parameters) for column in columns],
+        "reduced chi-square": [format_number(column.reduced_chi_square) for column in columns],
     }
-    if any(column.bic is not None for column in found.columns):
-        about["BIC, less the least"] = [format_number(column.bic) for column in found.columns]
-    if any(column.held_out is not None for column in found.columns):
-        about["held out, times what it may be off"] = [
-            format_number(c.held_out) for c in found.columns
-        ]
+    if any(column.bic is not None for column in columns):
+        about["BIC, less the least"] = [format_number(column.bic) for column in columns]
+    if any(column.held_out is not None for column in columns):
+        words = "held out, times what it may be off"
+        about[words] = [format_number(column.held_out) for column in columns]
     return (headings, rows), (["", *names], [[name, *cells] for name, cells in about.items()])
 
 
-def contrast_facts(found: Contrast) -> dict[str, Any]:
-    """The same as data for JSON, in all digits."""
+def contrast_json(found: Contrast) -> str:
+    """The same as JSON, in all digits."""
 
     def facts(one: Estimate | None) -> dict[str, Any] | None:
         if one is None:
             return None
         return {"value": one.value, "standard_error": one.standard_error, "free": one.free}
 
-    return {
+    whole = {
         "results": [vars(column) for column in found.columns],
         "parameters": [
             {
@@ -194,11 +183,7 @@ def contrast_facts(found: Contrast) -> dict[str, Any]:
         ],
         "notes": list(found.notes),
     }
-
-
-def contrast_json(found: Contrast) -> str:
-    """The same as text."""
-    return json.dumps(contrast_facts(found), indent=2, allow_nan=False)
+    return json.dumps(whole, indent=2, allow_nan=False)
 
 
 def estimate_cell(one: Estimate | None) -> str:

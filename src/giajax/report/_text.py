@@ -1,7 +1,8 @@
 """A result as text: the parameter table and what else a reader must know."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from ..models import capabilities
 from ..runtime.text import format_number, wrapped
 from ..studies import SAME_END, distinct_optima, lost_starts, misfit
 
+_Run = TypeVar("_Run", RunFit, PredictionErrors, HeldOut)
+
 RESULT = "result.json"
 PAGE = "report.html"
 
@@ -30,8 +33,6 @@ MOST_RUNS = 6
 
 def worth_drawing(result: FitResult) -> list[int]:
     """All runs, or of many those that are described worst, in their order."""
-    if len(result.runs) <= MOST_RUNS:
-        return list(range(len(result.runs)))
     worst = sorted(range(len(result.runs)), key=lambda index: -times_noise(result.runs[index]))
     return sorted(worst[:MOST_RUNS])
 
@@ -39,13 +40,10 @@ def worth_drawing(result: FitResult) -> list[int]:
 def times_noise(record: RunFit, names: Iterable[str] | None = None) -> float:
     """The largest RMSE over noise of some channels, or of all; infinite where one is not finite."""
     channels = [record.channels[name] for name in (record.channels if names is None else names)]
-    return max(
-        (
-            float("inf") if c.rmse is None else c.rmse / c.noise if c.noise else 0.0
-            for c in channels
-        ),
-        default=0.0,
-    )
+    ratios = [
+        math.inf if c.rmse is None else c.rmse / c.noise if c.noise else 0.0 for c in channels
+    ]
+    return max(ratios, default=0.0)
 
 
 # Without one of two equal recordings errors are 1.4 times as large; more than this is worth a word.
@@ -58,11 +56,7 @@ _LARGE = 1000.0
 def source_lines(result: FitResult) -> list[str]:
     """A line for each recording that determines something which the others hardly do.
 
-    Arguments:
-        result: of a fit of several recordings; of one there is nothing to say.
-
-    Returns:
-        Such as `bench: nothing else determines alpha.offset`.
+    Such as `bench: nothing else determines alpha.offset`.
     """
     alone: dict[str, list[str]] = {}
     mostly: dict[str, list[str]] = {}
@@ -75,19 +69,11 @@ def source_lines(result: FitResult) -> list[str]:
                 mostly.setdefault(recording, []).append(f"{path} ({times})")
     lines = []
     for recording in dict.fromkeys([*alone, *mostly]):
-        parts = []
-        if recording in alone:
-            parts.append(f"nothing else determines {', '.join(alone[recording])}")
-        if recording in mostly:
-            listed = ", ".join(mostly[recording])
-            parts.append(f"without it errors are as many times as large: {listed}")
+        said = {"nothing else determines": alone.get(recording)}
+        said["without it errors are as many times as large:"] = mostly.get(recording)
+        parts = [f"{words} {', '.join(paths)}" for words, paths in said.items() if paths]
         lines.append(f"{recording}: {'; '.join(parts)}")
     return lines
-
-
-def held_out_lines(result: FitResult) -> list[str]:
-    """How well what was held out of each run is predicted."""
-    return [line for record in result.held_out for line in _lines(record)]
 
 
 def _by_unit(run: RunFit | PredictionErrors | HeldOut) -> dict[str, list[str]]:
@@ -102,7 +88,8 @@ def _unit(unit: str) -> str:
     return f" {unit}" if unit else ""
 
 
-def _lines(record: HeldOut) -> list[str]:
+def _held_out(record: HeldOut) -> list[str]:
+    """How well what was held out of a run is predicted."""
     lines = []
     for unit, names in _by_unit(record).items():
         channels = [record.channels[name] for name in names]
@@ -111,69 +98,62 @@ def _lines(record: HeldOut) -> list[str]:
             each = [f"{n} {_range([record.channels[n].rmse]) or 'not known'}" for n in names]
             errors = ", ".join(each)
         sizes = _range([channel.size for channel in channels])
-        values = sum(channel.n for channel in channels)
-        lines.append(
-            f"{record.name}: RMSE {errors}{unit}"
-            + (f"; {sizes} times what noise and the parameters allow" if sizes else "")
-            + f"; {len(names)} channel{'s' * (len(names) > 1)}, {values} values"
-        )
+        allowed = f"; {sizes} times what noise and the parameters allow" if sizes else ""
+        counts = _counts(names, sum(channel.n for channel in channels))
+        lines.append(f"{record.name}: RMSE {errors}{unit}{allowed}; {counts}")
     return lines
 
 
-def _range(values: list[float | None]) -> str:
+def _counts(names: Sequence[str], values: int) -> str:
+    return f"{len(names)} channel{'s' * (len(names) > 1)}, {values} values"
+
+
+def _range(values: Sequence[float | None], digits: int = 3) -> str:
     """The smallest and the largest of what is known and finite; empty where nothing is."""
-    known = sorted(value for value in values if value is not None and math.isfinite(value))
+    known = [value for value in values if value is not None and math.isfinite(value)]
     if not known:
         return ""
-    low, high = f"{known[0]:.3g}", f"{known[-1]:.3g}"
+    low, high = f"{min(known):.{digits}g}", f"{max(known):.{digits}g}"
     return low if low == high else f"{low} to {high}"
 
 
-def verdict_lines(result: FitResult) -> list[str]:
+def _verdict(result: FitResult) -> list[str]:
     """Whether the model describes the data, and a line for each reason why it does not."""
     verdict = result.verdict
-    reasons = [reason.sentence for reason in verdict.reasons]
     if verdict.status != "inadequate":
         return [verdict.sentence]
-    return [f"inadequate: {reasons[0]}", *reasons[1:]]
+    first, *others = (reason.sentence for reason in verdict.reasons)
+    return [f"inadequate: {first}", *others]
 
 
-def noise_lines(result: FitResult) -> list[str]:
+def _noise(result: FitResult) -> list[str]:
     """What was taken for correlated noise, and what it does to the standard errors."""
     if result.noise is None or not result.noise.widening:
         return []
-    channels = [channel for run in result.runs for channel in run.channels.values()]
-    times = [c.correlation_time_s for c in channels if c.correlated]
-    names = {name for run in result.runs for name, c in run.channels.items() if c.correlated}
-    shortest, longest = min(times), max(times)
-    span = f"{shortest:.2g}" if shortest == longest else f"{shortest:.2g} to {longest:.2g}"
-    factors = [factor for factor in result.noise.widening.values() if factor is not None]
-    sentence = f"correlated over {span} s in {len(names)} of {_count(result)} channels"
-    if factors:
-        low, high = f"{min(factors):.2g}", f"{max(factors):.2g}"
-        span = low if low == high else f"{low} to {high}"
-        sentence += f"; the standard errors are {span} times those of white noise of the same size"
+    channels = [pair for run in result.runs for pair in run.channels.items()]
+    correlated = [(name, channel) for name, channel in channels if channel.correlated]
+    span = _range([channel.correlation_time_s for _, channel in correlated], 2)
+    names, every = (len({name for name, _ in pairs}) for pairs in (correlated, channels))
+    sentence = f"correlated over {span} s in {names} of {every} channels"
+    if factors := _range(list(result.noise.widening.values()), 2):
+        sentence += (
+            f"; the standard errors are {factors} times those of white noise of the same size"
+        )
     return [sentence]
-
-
-def _count(result: FitResult) -> int:
-    return len({name for run in result.runs for name in run.channels})
 
 
 # More lines of residuals than this are summed up.
 _MANY = 8
 
+# Width of the labels of a summary.
+_LABEL = 20
+
 
 def parameter_table(result: FitResult, width: int | None = None) -> str:
     """The free and the fixed parameters: value, standard error, unit, bounds and remark.
 
-    Arguments:
-        result: the result of a fit.
-        width: columns that there are. Where the remarks do not fit, each goes below its row.
-            Without a width nothing is wrapped: a row is a line, for grep and awk.
-
-    Returns:
-        The lines, without a newline at the end.
+    Where the remarks do not fit into `width` columns, each goes below its row. Without a width
+    nothing is wrapped: a row is a line, for grep and awk.
     """
     return estimate_table(in_column_units(result.shown, result.model), width)
 
@@ -181,60 +161,45 @@ def parameter_table(result: FitResult, width: int | None = None) -> str:
 def summary(result: FitResult, width: int | None = None) -> str:
     """How the fit ended, how well it describes the data, and what its values rest on.
 
-    Arguments:
-        result: the result of a fit.
-        width: columns that there are; without one nothing is wrapped.
-
-    Returns:
-        The lines, without a newline at the end.
+    Without a width, the columns that there are, nothing is wrapped.
     """
-    label = 20
-    lines: list[str] = []
-    for name, text in summary_rows(result):
-        lines += wrapped(text, width, name.ljust(label), " " * label)
-    return "\n".join(lines)
+    rows = summary_rows(result)
+    lines = (wrapped(text, width, name.ljust(_LABEL), " " * _LABEL) for name, text in rows)
+    return "\n".join(line for each in lines for line in each)
 
 
 def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     """The summary as pairs of a label (which may be empty) and a sentence."""
     rows = [("status", result.headline)]
-    rows += _labelled("units", [note] if (note := units_note(result.shown, result.model)) else [])
-    rows += _labelled("verdict", verdict_lines(result))
-    rows += _labelled("noise", noise_lines(result))
+
+    def add(label: str, texts: Iterable[str]) -> None:
+        for index, text in enumerate(texts):
+            rows.append(("" if index else label, text))
+
+    add("units", [note] if (note := units_note(result.shown, result.model)) else [])
+    add("verdict", _verdict(result))
+    add("noise", _noise(result))
     for label, number in (("cost", result.cost), ("reduced chi-square", result.reduced_chi_square)):
-        rows.append((label, format_number(number, missing="not finite")))
-    rows += _labelled("starts", _starts(result))
-    residuals = [text for run in result.runs for text in _residuals(run)]
-    if len(residuals) > _MANY:
-        residuals = _over_runs(result.runs, "residuals of")
-    rows += _labelled("residuals", residuals)
+        add(label, [format_number(number, missing="not finite")])
+    add("starts", _starts(result))
+    add("residuals", _of_runs(result.runs, _residuals, "residuals of"))
     own = list(filter(None, (run.parameters.keys() - result.free for run in result.runs)))
     if own:
         text = f"{sum(map(len, own))} values of {len(own)} runs alone were fitted, too"
-        rows.append(("initial states", f"{text}; result.json has them"))
-    validation = [text for run in result.validation for text in _errors(run)]
-    if len(validation) > _MANY:
-        validation = _over_runs(result.validation, "prediction of")
-    rows += _labelled("validation", validation)
-    held_out = held_out_lines(result)
-    if len(held_out) > _MANY:
-        held_out = _over_runs(result.held_out, "prediction of")
-    rows += _labelled("held out", held_out)
-    rows += _labelled("determined by", source_lines(result))
-    if strongest := _strongest_correlation(result):
-        rows.append(("correlation", strongest))
-    rows += _labelled("findings", [f"{f.sentence}: {f.advice} ({f.page})" for f in result.findings])
-    rows.append(("gradient check", _gradient(result)))
-    rows.append(("solver tolerance", _tolerance(result)))
-    for index, condition in enumerate(result.conditions):
-        rows.append(("conditions" if index == 0 else "", condition))
+        add("initial states", [f"{text}; result.json has them"])
+    add("validation", _of_runs(result.validation, _errors, "prediction of"))
+    add("held out", _of_runs(result.held_out, _held_out, "prediction of"))
+    add("determined by", source_lines(result))
+    if strongest := strongest_correlation(result):
+        correlation, one, other = strongest
+        add("correlation", [f"at most {correlation:+.3f}, between {one} and {other}"])
+    add("findings", [f"{f.sentence}: {f.advice} ({f.page})" for f in result.findings])
+    add("gradient check", [_gradient(result)])
+    add("solver tolerance", [_tolerance(result)])
+    add("conditions", result.conditions)
     seconds = result.seconds
-    rows.append(("time", f"{seconds.run:.2g} s, and {seconds.compile:.2g} s to compile or load"))
+    add("time", [f"{seconds.run:.2g} s, and {seconds.compile:.2g} s to compile or load"])
     return rows
-
-
-def _labelled(label: str, texts: Sequence[str]) -> list[tuple[str, str]]:
-    return [(label if index == 0 else "", text) for index, text in enumerate(texts)]
 
 
 def _starts(result: FitResult) -> list[str]:
@@ -261,8 +226,11 @@ def _starts(result: FitResult) -> list[str]:
     ]
 
 
-def _over_runs(runs: Sequence[RunFit | PredictionErrors | HeldOut], what: str) -> list[str]:
-    """One line a channel for many runs: smallest, median and largest RMSE."""
+def _of_runs(runs: Sequence[_Run], of_one: Callable[[_Run], list[str]], what: str) -> list[str]:
+    """Lines of each run; of many, one line a channel: smallest, median and largest RMSE."""
+    each = [line for run in runs for line in of_one(run)]
+    if len(each) <= _MANY:
+        return each
     table: dict[tuple[str, str], list[float]] = {}
     for run in runs:
         for name, channel in run.channels.items():
@@ -295,7 +263,6 @@ def _residuals(run: RunFit) -> list[str]:
     lines = []
     for unit, names in _by_unit(run).items():
         known = {name: rmse for name in names if (rmse := channels[name].rmse) is not None}
-        values = sum(channels[name].n for name in names)
         noise = sorted({channels[name].noise for name in names})
         if len(names) <= 4:
             shown = ", ".join(f"{name} {_rmse(known.get(name))}" for name in names)
@@ -306,14 +273,13 @@ def _residuals(run: RunFit) -> list[str]:
         else:
             shown = "not finite"
         against = f"{noise[0]:.3g}" + (f" to {noise[-1]:.3g}" if noise[-1] > noise[0] else "")
-        lines.append(
-            f"{run.name}: RMSE {shown}{unit}; noise {against}; "
-            f"{len(names)} channel{'s' * (len(names) > 1)}, {values} values"
-        )
+        counts = _counts(names, sum(channels[name].n for name in names))
+        lines.append(f"{run.name}: RMSE {shown}{unit}; noise {against}; {counts}")
     return lines
 
 
-def _strongest_correlation(result: FitResult) -> str:
+def strongest_correlation(result: FitResult) -> tuple[float, str, str] | None:
+    """The largest correlation, and the parameters that it is between; None where there is none."""
     paths = result.correlation.parameters
     pairs = [
         (abs(correlation), correlation, paths[j], paths[i])
@@ -321,10 +287,12 @@ def _strongest_correlation(result: FitResult) -> str:
         for j, correlation in enumerate(row[:i])
         if correlation is not None
     ]
-    if not pairs:
-        return ""
-    _, correlation, one, other = max(pairs)
-    return f"at most {correlation:+.3f}, between {one} and {other}"
+    return max(pairs)[1:] if pairs else None
+
+
+def correlation_text(value: float) -> str:
+    """A correlation with three digits where two would round to one, which none here is."""
+    return "?" if math.isnan(value) else f"{value:.{3 if abs(value) >= 0.995 else 2}f}"
 
 
 # A fit with derivatives wrong by this much may stop anywhere. In 64-bit a good one has 1e-5.

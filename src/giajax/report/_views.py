@@ -1,13 +1,22 @@
-"""What it takes to show a record beside a result: a table, a section of its page, and a view."""
+"""How a record beside a result is shown: a table, a section of its page, and a view of its type.
 
+A command and the page of a result know records by their type alone. A view is known once it is
+made: those of this room are found by their files, an application makes its own from above.
+"""
+
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from matplotlib.figure import Figure
 
 from ..fitting import FitResult
+from ..runtime.files import read_bytes
+from ..runtime.limits import RESULT_BYTES
+from ..runtime.text import InputError
 from ..studies import StudyRecord
 
 R = TypeVar("R", bound=StudyRecord)
@@ -23,19 +32,10 @@ class Table(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class PageSection:
-    """A section of a page, from top to bottom.
+    """A section of a page, from top to bottom; each plot and picture with a title.
 
-    Attributes:
-        id, name, heading: in the address, in the list of sections and above it.
-        early: whether it stands beside the parameters, before recorded and fitted values.
-        warnings: sentences in bold.
-        intro: a paragraph.
-        table: of the record.
-        folded: what its rows are called where a long table is folded; empty where none is.
-        sentences: a list.
-        plots: title and what BokehJS embeds, of each.
-        pictures: as data of a browser, each with what it shows.
-        note: a paragraph in small print.
+    It stands beside the parameters where it is `early`, and a long table is `folded` under what its
+    rows are called. Warnings are in bold, the note in small print.
     """
 
     id: str
@@ -62,6 +62,7 @@ class RecordView(Generic[R]):
         sentences: below the table, likewise.
         figure: the picture of a record beside its file; None where the files have another way.
         section: of the page, of a record, the result and its folder.
+        place: of its section among those of a page.
     """
 
     record: type[R]
@@ -69,3 +70,41 @@ class RecordView(Generic[R]):
     sentences: Callable[[R, int | None], list[str]]
     section: Callable[[R, FitResult, Path], PageSection]
     figure: Callable[[R, FitResult], Figure] | None = None
+    place: int = 9
+
+    def __post_init__(self) -> None:
+        _VIEWS[self.record] = self
+
+
+_VIEWS: dict[type[Any], RecordView[Any]] = {}
+
+
+@functools.cache
+def _make_views() -> None:
+    for path in sorted(Path(__file__).parent.glob("_[a-z]*.py")):
+        import_module(f".{path.stem}", __package__)
+
+
+def view_of(record: R) -> RecordView[R]:
+    """How a record is shown."""
+    _make_views()
+    return _VIEWS[type(record)]
+
+
+def sections(result: FitResult, source: Path | None) -> list[PageSection]:
+    """The sections of a page on the records that lie beside a result, the `source`, if it has one.
+
+    What is damaged or of another fit has none.
+    """
+    if source is None:
+        return []
+    _make_views()
+    found = []
+    for view in sorted(_VIEWS.values(), key=lambda view: view.place):
+        try:
+            record = view.record.of_json(read_bytes(source.parent / view.record.file, RESULT_BYTES))
+        except (OSError, InputError):
+            continue
+        if record.is_of(result):
+            found.append(view.section(record, result, source.parent))
+    return found

@@ -170,7 +170,7 @@ def test_a_result_and_its_definition_ask_the_same(tmp_path):
         (tmp_path / name).write_bytes((EARLIER / name).read_bytes())
     found = []
     for name in ("result.json", "run_fit.toml"):
-        source, settings = source_of(tmp_path / name, None, [], [], "tsit5", 1e-6)
+        source, settings = source_of(tmp_path / name, None, {}, [], "tsit5", 1e-6)
         found.append(asked(source, **settings, wanted=[DRAG, STIFFNESS]))
     one, other = found
     assert [tie.path for tie in one.ties] == [tie.path for tie in other.ties] == list(ties)
@@ -183,7 +183,7 @@ def test_a_result_and_its_definition_ask_the_same(tmp_path):
     (tmp_path / "run_fit.toml").write_text(
         text.replace('free = ["air.drag_coefficient", "camera.origin[2]"]', "")
     )
-    _, settings = source_of(tmp_path / "run_fit.toml", None, [], [], "tsit5", 1e-6)
+    _, settings = source_of(tmp_path / "run_fit.toml", None, {}, [], "tsit5", 1e-6)
     assert DRAG in settings["free"]
     assert "joints.damping" not in settings["free"]
 

@@ -9,7 +9,7 @@ from .. import BLUE, GREEN, GREY, INK, VERMILLION, contrast_tables
 from .._style import ORANGE, PURPLE, SKY
 from .._views import Table
 from ._render import rendered, some_of
-from ._report import Opening, opening
+from ._report import opening
 
 # Width of the picture of one parameter and height of a result in it, pixels.
 _WIDTH, _HEIGHT = 360.0, 15.0
@@ -34,7 +34,6 @@ class _Bar(NamedTuple):
 def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
     """As of `giajax.report.compare_page`."""
     parameters, whole = contrast_tables(found)
-    openings: list[Opening] = [opening(result) for result in results]
     names = [column.name for column in found.columns]
     apart = _apart(found)
     grade, headline = _verdict(found, apart)
@@ -46,7 +45,7 @@ def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
         headline=headline,
         names=names,
         colours=[_COLOURS[index % len(_COLOURS)] for index in range(len(names))],
-        openings=list(zip(names, openings, strict=True)),
+        openings=list(zip(names, map(opening, results), strict=True)),
         parameters=Table(*parameters, 2),
         whole=Table(*whole, 1),
         pictures=[(row.path, bars) for row in found.rows if len(bars := _bars(row, names)) > 1],

@@ -17,7 +17,7 @@ from ...runtime.arrays import Float, Int
 from ...schema.parameters import replace
 from .. import BLUE, GREEN, GREY, INK, VERMILLION
 from .._pictures import abscissa, channel_label, channels_together, sweep_starts
-from .._style import new_plot, small
+from .._style import embedded, new_plot, small
 from .._text import times_noise
 
 _MOST_LAGS = 60
@@ -54,12 +54,8 @@ def thinned(columns: Sequence[Float[np.ndarray, " sample"]], most: int) -> Int[n
     The samples are cut into equal spans. Of each the first one stays, and where each column is
     least and greatest: a single outlier among a million values is drawn.
 
-    Arguments:
-        columns: of equal length; NaN where not measured.
-        most: about how many samples to keep.
-
     Returns:
-        Their numbers, ascending; all of them where there are no more than `most`.
+        Their numbers, about `most` of them, ascending.
     """
     count = len(columns[0])
     if count <= most:
@@ -86,9 +82,7 @@ def curve_item(label: str, over: Sequence[float], values: Sequence[float], *, lo
     source = ColumnDataSource({"x": np.asarray(over, float), "y": np.asarray(values, float)})
     plot.line("x", "y", source=source, color=BLUE, line_width=1.5)
     dots = plot.scatter("x", "y", source=source, color=BLUE, size=5)
-    tips = [("iteration", "@x{0}"), ("cost", "@y{0.00000a}")]
-    plot.add_tools(HoverTool(renderers=[dots], tooltips=tips))
-    return json.dumps(json_item(plot))
+    return embedded(plot, dots, [("iteration", "@x{0}"), ("cost", "@y{0.00000a}")])
 
 
 def memory_plot(channels: Sequence[Channel], residuals: Sequence[np.ndarray]) -> Any:
@@ -133,11 +127,7 @@ def can_have_bands(result: FitResult) -> bool:
         and set(paths) <= set(result.parameters)
         and not result.config.get("ties")
         and all(result.parameters[path].standard_error for path in paths)
-        and all(
-            value is not None and np.isfinite(value)
-            for row in result.correlation.matrix
-            for value in row
-        )
+        and bool(np.all(np.isfinite(np.array(result.correlation.matrix, dtype=float))))
         and not any(run.parameters.keys() & result.free.keys() for run in result.runs)
     )
 
@@ -149,14 +139,7 @@ def prediction_errors_of_parameters(
 
     To first order: each parameter is moved by its standard error, and the changes are added up
     with the correlations. What a run has for itself, such as its initial state, is not in it.
-
-    Arguments:
-        result: of which `can_have_bands`.
-        run: to be predicted.
-        predicted: by the fitted model, SI, by channel.
-
-    Returns:
-        SI, by channel, each of shape (sample,); empty where a moved model cannot be predicted.
+    SI, by channel, each of shape (sample,); empty where a moved model cannot be predicted.
     """
     model = result.model_of(run)
     changes: dict[str, list[np.ndarray]] = {name: [] for name in predicted}
@@ -181,14 +164,10 @@ def prediction_errors_of_parameters(
 
 
 class Panel(NamedTuple):
-    """The plots of one channel, or of the coordinates of one point.
+    """The plots of one channel, or of the coordinates of one point, as the JSON of BokehJS.
 
-    Attributes:
-        title: names and unit.
-        note: how well they are described.
-        colours: of its channels by name, where several share it.
-        item: what BokehJS embeds, as JSON.
-        drawn, samples: how many of how many samples.
+    With its names and unit, how well they are described, the colour of each channel where several
+    share it, and how many of how many samples are drawn.
     """
 
     title: str
@@ -220,20 +199,17 @@ def panel(
     bands: Mapping[str, np.ndarray] | None = None,
     values: int = 20_000,
 ) -> Panel:
-    """The plots of some channels of a run.
+    """The plots of some channels of a run, by name.
 
     Arguments:
-        names: of the channels.
-        run: the recorded run.
         predicted: what the fitted model predicts for it, SI, by channel.
-        record: the run's entry in the result.
-        held: what was held out of it.
+        record: the run's entry in the result; `held` is what was held out of the run.
         bands: standard deviations of the prediction by the parameters, SI, by channel.
         values: about how many numbers the plots may hold.
     """
     over, label = abscissa(run)
     channels = [run.channels[name] for name in names]
-    data, residuals = _columns(channels, run, predicted, held, bands)
+    data = _columns(channels, run, predicted, held, bands)
     extremes = [data[key] for key in data if key[0] in "rdh"]
     kept = thinned(extremes, max(values // (len(data) + 1), 100))
     source = ColumnDataSource(
@@ -242,6 +218,7 @@ def panel(
     sweeps = np.empty(0, int) if over is run.times else sweep_starts(over)
     main = _main_plot(channels, source, record, _line(over, data, kept, sweeps), run)
     plots = [main, _residual_plot(channels, source, record, main, label)]
+    residuals = [data[f"d{place}"] for place in range(len(channels))]
     if run.times is not None and (memory := memory_plot(channels, residuals)) is not None:
         plots.append(memory)
     first = channel_label(channels[0])
@@ -258,23 +235,20 @@ def _columns(
     predicted: Mapping[str, np.ndarray],
     held: Run | None,
     bands: Mapping[str, np.ndarray] | None,
-) -> tuple[dict[str, np.ndarray], list[np.ndarray]]:
+) -> dict[str, np.ndarray]:
     """Recorded, fitted, difference, held out and band by channel, in the units of the file."""
     data: dict[str, np.ndarray] = {}
-    residuals = []
     for place, channel in enumerate(channels):
         recorded = channel.from_si(run.observations[channel.name])
         fitted = channel.from_si(predicted[channel.name])
-        data[f"r{place}"], data[f"f{place}"] = recorded, fitted
-        data[f"d{place}"] = recorded - fitted
-        residuals.append(recorded - fitted)
+        data |= {f"r{place}": recorded, f"f{place}": fitted, f"d{place}": recorded - fitted}
         if held is not None and channel.name in held.observations:
             data[f"h{place}"] = channel.from_si(held.observations[channel.name])
         if bands and channel.name in bands:
             deviation = channel.from_si(bands[channel.name]) - channel.from_si(np.zeros(1))
             data[f"l{place}"] = fitted - 2 * deviation
             data[f"u{place}"] = fitted + 2 * deviation
-    return data, residuals
+    return data
 
 
 def _line(
@@ -297,7 +271,7 @@ def _main_plot(
     broken: ColumnDataSource,
     run: Run,
 ) -> Any:
-    plot = new_plot(220, "", _unit(channels[0]))
+    plot = new_plot(220, "", channels[0].unit.replace("_per_", "/") or "value")
     several = len(channels) > 1
     in_order = run.drawn_over is None
     for place, channel in enumerate(channels):
@@ -345,7 +319,3 @@ def _note(channels: Sequence[Channel], record: RunFit) -> str:
     noise = max(fit.noise for fit in fits)
     rmse = f"{max(known):.3g}{unit}" if len(known) == len(fits) else "not finite"
     return f"RMSE {rmse}, noise {noise:.3g}{unit}"
-
-
-def _unit(channel: Channel) -> str:
-    return channel.unit.replace("_per_", "/") or "value"

@@ -26,12 +26,9 @@ _GRID = 4095
 
 
 class Arm(NamedTuple):
-    """A model that moves.
+    """A model that moves, as the JSON of the script, and how many markers were recorded.
 
-    Attributes:
-        data: what the script draws, as JSON.
-        recorded: how many markers were recorded.
-        aligned: whether the axes of the recording are those of the model; if not, none is drawn.
+    They are not drawn where the axes of the recording are not aligned with those of the model.
     """
 
     data: str
@@ -40,16 +37,10 @@ class Arm(NamedTuple):
 
 
 def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) -> Arm | None:
-    """What the arm of a run looks like over time, with its recorded markers, as JSON.
+    """What the arm of a fitted run looks like over time, with its recorded markers, as JSON.
 
-    Arguments:
-        result: of the fit.
-        run: a fitted one.
-        predicted: what the model predicts for it, SI, by channel.
-
-    Returns:
-        Lines with radii, fitted and recorded markers, on a grid of integers; None for a model of
-        which nothing is seen, or that cannot be simulated there.
+    Lines with radii, fitted and recorded markers, on a grid of integers; None for a model of which
+    nothing is seen, or that cannot be simulated there. `predicted` is SI, by channel.
     """
     try:
         scene = capabilities.scene(result.model_of(run), run)
@@ -101,21 +92,14 @@ _MOST_NAMES = 3
 def rendered(template: str, *, plots: bool, **facts: Any) -> bytes:
     """A template with the facts, escaped, and with all that it needs inside.
 
-    Arguments:
-        template: name of the file.
-        plots: whether BokehJS goes in, 1.3 MB of it.
-        facts: what the template shows.
-
-    Returns:
-        The page, encoded.
+    With `plots` BokehJS goes in, 1.3 MB of it.
     """
     environment = Environment(
         loader=FunctionLoader(_text), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    bundle = _bundle() if plots else ""
     page = environment.get_template(template).render(
         style=Markup(_text("page.css")),
-        script=Markup(bundle + "\n" + _text("page.js")),
+        script=Markup((_bundle() if plots else "") + "\n" + _text("page.js")),
         bokeh=bokeh.__version__ if plots else "",
         data=_data,
         **facts,

@@ -5,7 +5,7 @@ import json
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,10 +14,11 @@ from ...models import capabilities
 from ...recordings import Run
 from ...runtime.records import plain_data
 from ...runtime.text import InputError, format_estimate
-from ...studies import LEVEL, promising, with_fitted_states
+from ...studies import with_fitted_states
 from ...tasks import repeatable
 from .. import SUSPECT_HEADINGS, Table, first_suspects, sections, systematic_table
-from .._text import WRONG_DERIVATIVES, summary_rows, worth_drawing
+from .._suspects import significant
+from .._text import WRONG_DERIVATIVES, strongest_correlation, summary_rows, worth_drawing
 from ._plots import (
     Panel,
     can_have_bands,
@@ -39,10 +40,8 @@ from ._tables import (
     validation_table,
 )
 
-# What a reader must know before any number: whether to believe them, and what limits them.
-#
-# The sentences say nothing that is not in the result; they say it in the order in which it
-# matters.
+# What a reader must know before any number: whether to believe them, and what limits them, in the
+# order in which it matters. The sentences say nothing that is not in the result.
 
 # Correlations beyond this, errors beyond this part of a value, and predictions of what was held
 # out that are off by so many times what they should be, are worth a sentence.
@@ -56,12 +55,9 @@ _SAID = ("no_response", "correlated")
 
 
 class Opening(NamedTuple):
-    """What stands at the top of a page.
+    """The top of a page: a grade ("good", "doubtful" or "bad"), a sentence, and what limits it all.
 
-    Attributes:
-        grade: "good", "doubtful" or "bad", which colours it.
-        headline: one sentence.
-        limits: sentences on what limits the numbers, the most important first.
+    Of the limits the most important is the first.
     """
 
     grade: str
@@ -79,54 +75,34 @@ def opening(result: FitResult) -> Opening:
         *_prediction(result),
         *_computation(result),
     ]
+    fits = "The fit has converged and the model describes the data to within the noise, but "
     if result.status != "converged":
-        return Opening(
-            "bad",
-            f"Do not use these numbers yet: {result.message}",
-            limits,
-        )
-    if result.verdict.status == "inadequate":
-        return Opening(
-            "bad",
+        grade, headline = "bad", f"Do not use these numbers yet: {result.message}"
+    elif result.verdict.status == "inadequate":
+        grade = "bad"
+        headline = (
             "The fit has converged, but the model does not describe the data: the standard errors "
-            "are those of a model that is not right, and the true errors may be larger",
-            limits,
+            "are those of a model that is not right, and the true errors may be larger"
         )
-    if result.verdict.status == "not evaluated":
-        return Opening(
-            "doubtful",
-            "The fit has converged; whether the model describes the data was not judged",
-            limits,
-        )
-    if _undetermined(result):
-        return Opening(
-            "doubtful",
-            "The fit has converged and the model describes the data to within the noise, but not "
-            "all parameters are determined by them",
-            limits,
-        )
-    if _has_wrong_derivatives(result):
-        return Opening(
-            "doubtful",
-            "The fit has converged and the model describes the data to within the noise, but the "
-            "derivatives by which it got there are not right",
-            limits,
-        )
-    return Opening(
-        "good",
-        "The fit has converged, and the model describes the data to within the noise",
-        limits,
-    )
+    elif result.verdict.status == "not evaluated":
+        grade = "doubtful"
+        headline = "The fit has converged; whether the model describes the data was not judged"
+    elif _undetermined(result):
+        grade, headline = "doubtful", f"{fits}not all parameters are determined by them"
+    elif _has_wrong_derivatives(result):
+        grade = "doubtful"
+        headline = f"{fits}the derivatives by which it got there are not right"
+    else:
+        grade = "good"
+        headline = "The fit has converged, and the model describes the data to within the noise"
+    return Opening(grade, headline, limits)
 
 
 def _of_the_model(result: FitResult) -> list[str]:
     reasons = result.verdict.reasons if result.status == "converged" else ()
     said = [reason.sentence for reason in reasons]
-    asked = [row for row in promising(result.suspects) if (row.p_value or 0.0) < LEVEL]
-    if asked:
-        said.append(
-            f"the residuals ask most for {asked[0].path}, which the model holds or leaves out"
-        )
+    for row in significant(result)[:1]:
+        said.append(f"the residuals ask most for {row.path}, which the model holds or leaves out")
     return said
 
 
@@ -138,15 +114,12 @@ def _undetermined(result: FitResult) -> list[str]:
 
 
 def _held_numbers(result: FitResult) -> list[str]:
-    said = []
-    for error in result.systematic:
-        if error.decides:
-            change = "its uncertainty" if error.stated else "1 % of it"
-            said.append(
-                f"{error.path} is held, and {change} moves {', '.join(error.decides)} by more than "
-                "a standard error"
-            )
-    return said
+    return [
+        f"{error.path} is held, and {'its uncertainty' if error.stated else '1 % of it'} moves "
+        f"{', '.join(error.decides)} by more than a standard error"
+        for error in result.systematic
+        if error.decides
+    ]
 
 
 def _precision(result: FitResult) -> list[str]:
@@ -159,16 +132,10 @@ def _precision(result: FitResult) -> list[str]:
             value, error = format_estimate(one.value, one.standard_error)
             unit = f" {one.unit}" if one.unit else ""
             said.append(f"{worst} is known worst: {value} \N{PLUS-MINUS SIGN} {error}{unit}")
-    pairs = [
-        (abs(number), number, result.correlation.parameters[j], result.correlation.parameters[i])
-        for i, row in enumerate(result.correlation.matrix)
-        for j, number in enumerate(row[:i])
-        if number is not None and abs(number) > _CORRELATED
-    ]
-    if pairs:
-        _, correlation, one_path, other = max(pairs)
+    correlation, path, other = strongest_correlation(result) or (0.0, "", "")
+    if abs(correlation) > _CORRELATED:
         said.append(
-            f"{one_path} and {other} are told apart badly (correlation {correlation:+.3f}): do not "
+            f"{path} and {other} are told apart badly (correlation {correlation:+.3f}): do not "
             "read one without the other"
         )
     said += [one.sentence for one in result.findings if one.code not in _SAID]
@@ -245,9 +212,8 @@ def report_page(
     source: Path | None = None,
 ) -> bytes:
     """As of `giajax.report.report_page`."""
-    runs = matching_runs(result.runs, runs, whole=True)
     # What is predicted here, the bands and the arm with it, begins where the fitted values do.
-    runs = with_fitted_states(result, runs)
+    runs = with_fitted_states(result, matching_runs(result.runs, runs, whole=True))
     predictions = result.predictions or [result.predict(run) for run in runs]
     bands = can_have_bands(result)
     parts = _run_parts(result, runs, predictions, held_out, bands=bands)
@@ -309,7 +275,7 @@ def _run_parts(
         widths = prediction_errors_of_parameters(result, run, predicted) if bands else {}
         partly = held.get((run.name, run.sha256))
         drawn_names = {name for names in panels for name in names}
-        hollow = partly is not None and bool(drawn_names & partly.observations.keys())
+        hollow = partly is not None and not drawn_names.isdisjoint(partly.observations)
         shown = [
             panel(names, run, predicted, record, held=partly, bands=widths, values=values)
             for names in panels
@@ -341,9 +307,8 @@ def _again(source: Path | None) -> tuple[str, str]:
 
 
 def _dates(source: Path | None) -> list[tuple[str, str]]:
-    now = datetime.datetime.now().astimezone()
-    dates: list[tuple[str, Any]] = [("this page", now)]
+    dates = {"this page": datetime.datetime.now()}
     if source is not None and source.exists():
-        written = datetime.datetime.fromtimestamp(source.stat().st_mtime).astimezone()
-        dates.insert(0, ("result.json last changed", written))
-    return [(name, date.strftime("%Y-%m-%d %H:%M %z")) for name, date in dates]
+        written = datetime.datetime.fromtimestamp(source.stat().st_mtime)
+        dates = {"result.json last changed": written, **dates}
+    return [(name, f"{date.astimezone():%Y-%m-%d %H:%M %z}") for name, date in dates.items()]

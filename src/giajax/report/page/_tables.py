@@ -18,6 +18,7 @@ from ...fitting import (
 from ...runtime.text import format_bounds, format_estimate, format_number, format_range
 from ...studies import distinct_optima, lost_starts, together
 from .. import Table
+from .._text import correlation_text
 
 # A correlation's colour is mixed of white and one of these.
 _POSITIVE, _NEGATIVE = (213, 94, 0), (0, 114, 178)
@@ -36,11 +37,8 @@ def correlation_cells(result: FitResult) -> list[list[Cell]]:
     """The lower half of the correlation matrix, a row for each parameter after the first."""
     paths = result.correlation.parameters
     return [
-        [
-            _cell(value, f"{paths[i]} and {paths[j]}")
-            for j, value in enumerate(result.correlation.matrix[i][:i])
-        ]
-        for i in range(len(paths))
+        [_cell(value, f"{paths[i]} and {paths[j]}") for j, value in enumerate(row[:i])]
+        for i, row in enumerate(result.correlation.matrix)
     ]
 
 
@@ -51,9 +49,8 @@ def _cell(value: float | None, about: str) -> Cell:
     size = min(abs(value), 1.0)
     end = _POSITIVE if value > 0 else _NEGATIVE
     mixed = "".join(f"{round(255 + (part - 255) * size):02x}" for part in end)
-    # Three digits where two would round to one, which no correlation here is.
-    text = f"{value:.{3 if size >= 0.995 else 2}f}"
-    return Cell(text, f"#{mixed}", "#ffffff" if size > 0.6 else "#222222", f"{about}: {value:+.4f}")
+    ink = "#ffffff" if size > 0.6 else "#222222"
+    return Cell(correlation_text(value), f"#{mixed}", ink, f"{about}: {value:+.4f}")
 
 
 class ParameterRow(NamedTuple):
@@ -82,8 +79,7 @@ def parameter_rows(result: FitResult) -> list[ParameterRow]:
         # Of an element, or of a group of runs, it is that of the parameter.
         factor = factors.get(path.partition(" of ")[0].partition("[")[0], 1.0)
         value, error = format_estimate(one.value, one.standard_error)
-        systematic = stated[path] * factor if path in stated else None
-        both = None
+        systematic, both = _times(stated.get(path), factor), None
         if systematic is not None and one.standard_error is not None:
             both = float(np.hypot(systematic, one.standard_error))
         rows.append(
@@ -126,12 +122,10 @@ def noise_table(result: FitResult) -> Table:
     rows = []
     for run in result.runs:
         for name, c in run.channels.items():
-            memory = (
-                f"{c.correlated:.3g} over {c.correlation_time_s:.3g} s" if c.correlated else "-"
-            )
-            ratio = f"{c.rmse / c.noise:.2f}" if c.rmse is not None and c.noise else "-"
             size = [c.unit or "-", str(c.n), _number(c.rmse), _number(c.noise)]
-            rows.append([run.name, name, *size, ratio, memory])
+            ratio = f"{c.rmse / c.noise:.2f}" if c.rmse is not None and c.noise else "-"
+            memory = f"{c.correlated:.3g} over {c.correlation_time_s:.3g} s"
+            rows.append([run.name, name, *size, ratio, memory if c.correlated else "-"])
     headings = ["run", "channel", "unit", "values", "RMSE", "noise", "RMSE / noise", "with memory"]
     return Table(headings, rows, 3)
 
