@@ -267,8 +267,7 @@ def write_figures(
     """
     from ._pictures import picture_files
 
-    pictures = picture_files(result, *_parts(result, runs), held_out)
-    return _written(Path(folder), pictures)
+    return _written(Path(folder), picture_files(result, *_parts(result, runs), held_out))
 
 
 def _parts(

@@ -12,6 +12,8 @@ from ..runtime.text import InputError
 from ..studies import Contrast
 from ._text import SIGNATURE
 
+_NEEDED = ("bokeh", "jinja2")
+
 
 def check_page(path: str | Path | None = None, *, force: bool = False) -> None:
     """Refuse a page that cannot be made, before anything is computed.
@@ -24,7 +26,7 @@ def check_page(path: str | Path | None = None, *, force: bool = False) -> None:
         InputError: what draws it is not installed, there is a folder of this name, or (without
             `force`) the file is someone's own or cannot be read.
     """
-    missing = [name for name in ("bokeh", "jinja2") if importlib.util.find_spec(name) is None]
+    missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(
             f"a page needs {' and '.join(missing)}, which must be installed: "
