@@ -30,8 +30,6 @@ from ..schema.parameters import (
 from ._coordinates import Layout, members, sharing
 from ._weights import prior_of
 
-# Parameters that follow from others, by an expression over paths.
-
 Module = TypeVar("Module", bound=eqx.Module)
 
 _FUNCTIONS = {"sqrt": jnp.sqrt, "exp": jnp.exp, "log": jnp.log}
@@ -152,9 +150,6 @@ def within_bounds(model: eqx.Module, ties: Sequence[Tie]) -> Bool[Array, ""]:
         for value in [get(model, tie.path)]
     ]
     return jnp.all(jnp.stack(inside)) if inside else jnp.asarray(True)
-
-
-# Where another fit ended, as the start of this one.
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,8 +14,6 @@ from ..recordings import Run
 from ..runtime.arrays import Array, Float, on_device
 from ..runtime.text import InputError
 
-# From a coordinate that a fit moves along to a parameter within its bounds, and back.
-
 # Part of the distance between a start and its bound within which the coordinate is linear: so much
 # that what was driven to its bound by mistake comes back as it went. With all of it a first step
 # may lead to the bound, which costs kinked operators their optimum.

@@ -22,8 +22,6 @@ from ._statistics import Statistics, weighted_residuals
 from ._uncertainty import inverse_gram
 from ._weights import scores
 
-# What makes a density of a cost: what it is divided by, and whether it has an integral.
-
 # A prior that says more than this of a parameter has set its standard error.
 _MOSTLY = 0.5
 

@@ -30,8 +30,6 @@ from ._records import Estimate
 from ._statistics import Statistics
 from ._uncertainty import COLLINEAR
 
-# Units of parameters of a model whose columns have any: "output/input" is no unit to read.
-
 # What a declaration calls the units of the columns that a model was fitted to.
 _WORDS = ("input", "output")
 

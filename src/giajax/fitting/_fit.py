@@ -29,8 +29,6 @@ from ._result import FitResult, integration_of
 from ._statistics import Statistics, statistics
 from ._steps import CHANGED, FitJournal, FitState, Reason, begin, journal_writer, restored
 
-# From the last state of a fit to its result.
-
 # Residuals of this many times the noise are worth a word.
 _NOTABLE = 1.15
 
@@ -331,9 +329,6 @@ def _warn_once_in_32_bit() -> None:
         'jax.config.update("jax_enable_x64", True) before anything else',
         stacklevel=4,
     )
-
-
-# A fit that begins where another one ended: steps alone, with noise and tolerance as they are.
 
 
 @dataclasses.dataclass(frozen=True)

@@ -137,13 +137,13 @@ def set_up_with_hold_out(
     config: dict[str, list[dict[str, Any]]] = {"runs": [], "hold_out": []}
     records = iter(setup.config["runs"])
     for part, record in zip(parts, whole.config["runs"], strict=True):
-        first = {} if part.held is None else _first_rows(part.held)
+        held = {} if part.held is None else part.held.observations
+        first = {name: int(np.argmax(~np.isnan(cells))) for name, cells in held.items()}
         if part.fitted is not None:
             partly = {name: row for name, row in first.items() if name in part.fitted.observations}
             config["runs"].append({**next(records), **({"held_from": partly} if partly else {})})
         if part.held is not None:
-            channels = list(part.held.observations)
-            config["hold_out"].append({**record, "channels": channels, "held_from": first})
+            config["hold_out"].append({**record, "channels": list(first), "held_from": first})
     return dataclasses.replace(setup, config={**setup.config, **config}), HoldOut(parts, whole)
 
 
@@ -154,16 +154,10 @@ def _among(groups: Groups, runs: Sequence[Run], everything: Sequence[Run]) -> Gr
         return {name for run in several for name in (run.name, run.recording)}
 
     gone = names_of(everything) - names_of(runs)
-    kept = {
-        path: [[name for name in names if name not in gone] for names in sharing]
+    return {
+        path: [kept for names in sharing if (kept := [name for name in names if name not in gone])]
         for path, sharing in groups.items()
     }
-    return {path: [names for names in sharing if names] for path, sharing in kept.items()}
-
-
-def _first_rows(held: Run) -> dict[str, int]:
-    """By channel, the first sample that is held out."""
-    return {name: int(np.argmax(~np.isnan(cells))) for name, cells in held.observations.items()}
 
 
 def _errors(whole: Run, held: Run, predicted: Mapping[str, np.ndarray]) -> dict[str, float]:
@@ -172,8 +166,7 @@ def _errors(whole: Run, held: Run, predicted: Mapping[str, np.ndarray]) -> dict[
     for name, values in predicted.items():
         observed = held.observations[name]
         off = (values - observed)[~np.isnan(observed)]
-        rmse = float(np.sqrt(np.mean(off**2)))
-        errors[name] = float(whole.channels[name].from_si(rmse))
+        errors[name] = float(whole.channels[name].from_si(np.sqrt(np.mean(off**2))))
     return errors
 
 
@@ -193,8 +186,6 @@ def _record(
     path = None if whole.path is None else str(whole.path)
     return HeldOut(whole.name, path, whole.sha256, channels)
 
-
-# Where a fit of parts of runs ended, as the state of a fit of the whole runs.
 
 # Steps of what only the held cells know, such as where a held run starts: the test that follows is
 # exact to first order, and a state that was guessed may be further off than that.

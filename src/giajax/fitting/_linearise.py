@@ -28,10 +28,8 @@ from ._problem import (
     whitened,
     whitened_run,
 )
-from ._solver import Linearised, Marquardt, MarquardtState
+from ._solver import Linearised, Marquardt, MarquardtState, with_jacobian
 from ._weights import curvature_ratio
-
-# The Jacobian of a fit as it is: blocks, one a run, of a matrix that is zero elsewhere.
 
 Row = Float[np.ndarray, " residual"]
 
@@ -116,13 +114,7 @@ def linearise(coordinate: Float[Array, " parameter"], problem: Problem) -> Linea
 
 
 def linearise_run(
-    values: Array,
-    problem: Problem,
-    batch: RunBatch,
-    inputs: Any,
-    observed: Array,
-    weight: Array,
-    whitening: Any,
+    values: Array, problem: Problem, batch: RunBatch, run: tuple[Any, ...]
 ) -> tuple[Array, ...]:
     """A run's residual, block of the Jacobian, triangle of both, prediction, and success.
 
@@ -130,22 +122,12 @@ def linearise_run(
     no derivative by the parameters of another one is ever computed. It is reduced to a triangle by
     itself.
     """
-
-    def push(tangent: Array) -> tuple[Array, Array, Any]:
-        return jax.jvp(
-            lambda v: run_residual(v, problem, batch, inputs, observed, weight),
-            (values,),
-            (tangent,),
-            has_aux=True,
-        )
-
-    basis = jnp.eye(values.shape[0], dtype=values.dtype)
-    row, block, aux = jax.vmap(push, out_axes=(None, 1, None))(basis)
+    row, block, aux = with_jacobian(lambda v: run_residual(v, problem, batch, run), values)
     # Linear, so it comes after the derivatives, and costs one pass over all columns.
-    whole = whitened(jnp.concatenate([block, row[:, None]], axis=1), whitening)
+    whole = whitened(jnp.concatenate([block, row[:, None]], axis=1), run[-1])
     block, row = whole[:, :-1], whole[:, -1]
     if problem.loss != "linear":
-        measured = (weight > 0).ravel().astype(row.dtype)
+        measured = (run[2] > 0).ravel().astype(row.dtype)
         ratio = curvature_ratio(problem.loss, row, measured)[:, None]
         whole = jnp.concatenate([whole[:, :-1] * ratio, whole[:, -1:] / ratio], axis=1)
     # A failed run has NaN here; its step is rejected, and nobody reads the triangle.

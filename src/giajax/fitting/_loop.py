@@ -1,6 +1,7 @@
 """The host loop of a fit: steps until the optimum, and every rule that stops it."""
 
 import dataclasses
+import itertools
 import time
 from collections.abc import Callable, Sequence
 
@@ -136,12 +137,7 @@ def _travels(state: FitState, steps: Sequence[Iteration]) -> bool:
 
 def _rejected_in_a_row(steps: Sequence[Iteration]) -> int:
     """How many of the last trial steps were rejected, one after the other."""
-    count = 0
-    for iteration in reversed(steps):
-        if iteration.accepted:
-            break
-        count += 1
-    return count
+    return len(list(itertools.takewhile(lambda step: not step.accepted, reversed(steps))))
 
 
 def _stuck(state: FitState) -> tuple[Reason, str]:
@@ -160,13 +156,8 @@ def _stuck(state: FitState) -> tuple[Reason, str]:
 def _direction(state: FitState) -> str:
     """The parameter of the model whose coordinate the last step moved most."""
     best = int(np.argmax(np.abs(np.asarray(state.inner.step))))
-    for path, places in zip(state.problem.paths, state.problem.positions, strict=True):
-        if best in places:
-            return path
-    return "the states of single runs"
-
-
-# The host loop of a fit: step until the optimum, and estimate the noise that no sidecar states.
+    places = zip(state.problem.paths, state.problem.positions, strict=True)
+    return next((path for path, at in places if best in at), "the states of single runs")
 
 
 def advance(state: FitState) -> FitState:

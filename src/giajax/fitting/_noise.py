@@ -8,7 +8,6 @@ import numpy as np
 
 from ..noise import (
     Cells,
-    ChannelNoise,
     Reason,
     Restricted,
     Series,
@@ -23,8 +22,6 @@ from ._problem import predictions_by_run
 from ._records import Status
 from ._steps import FitState
 from ._weights import Noise, scores
-
-# What a fit left over, cell by cell, with derivatives: what the noise is estimated from.
 
 
 def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int, str], Cells]:
@@ -151,10 +148,11 @@ def _among_outliers(
     """The noise by robust statistics; correlated, each cell gets a weight of its own."""
     stated, old = noise.stated_by_key(), noise.by_key()
     sizes = {
-        key: _robust(each, [c.residual for c in cells.values() if c.key == key])
+        key: each.times(robust_deviation(np.concatenate(residuals)) / each.deviation)
         if each.is_white and stated[key].deviation is None
         else each
         for key, each in old.items()
+        for residuals in [[c.residual for c in cells.values() if c.key == key]]
     }
     if noise.correlated:
         weights = {at: outlier_weights(each, sizes[each.key]) for at, each in cells.items()}
@@ -168,10 +166,6 @@ def _among_outliers(
     if change < _SAME_DEVIATION:
         return dataclasses.replace(noise, estimated=not noise.complete)
     return noise.with_values(sizes)
-
-
-def _robust(noise: ChannelNoise, residuals: list[np.ndarray]) -> ChannelNoise:
-    return noise.times(robust_deviation(np.concatenate(residuals)) / noise.deviation)
 
 
 def _weighted(
@@ -193,9 +187,6 @@ def _weighted(
     if noise.weights is not None and gain < _SETTLED and max(changes) < _SAME_WEIGHT:
         return noise
     return noise.with_values(after.noise, tuple(placed))
-
-
-# The verdict on a fit: its residuals as they are, whatever they were weighted with.
 
 
 def verdict(state: FitState, status: Status, prior_degrees_of_freedom: float) -> Verdict:

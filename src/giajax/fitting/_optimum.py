@@ -189,9 +189,6 @@ class Optimum:
         return predictions_by_run(state.problem, state.inner.aux, state.setup.runs)
 
 
-# From what a result says of a fit to its optimum, evaluated by the program that fitted it.
-
-
 def optimum(setup: Setup, records: Sequence[RunFit]) -> Optimum:
     """The optimum of a fit, without fitting it again.
 
@@ -230,8 +227,6 @@ def _noise_of(noise: Noise, setup: Setup, records: Sequence[RunFit]) -> dict[str
         for name, key in keys.items()
     }
 
-
-# The normal equations of a fit where it ended, cell by cell: what each part of the data says.
 
 # Of scaled columns: eigenvalues below this, of the largest, are directions that nothing shows.
 _FLAT = 1e-10

@@ -17,8 +17,6 @@ from ._configuration import Tie, tied, within_bounds
 from ._coordinates import Bijector, Layout
 from ._weights import Noise, Priors, Whitening, transform
 
-# Prepared runs of several lengths as one pytree with a leading run axis.
-
 
 def stacked(trees: Sequence[Any]) -> Any:
     """Stack pytrees, repeating last rows where the first axes differ (see `prepare`)."""
@@ -36,9 +34,6 @@ def stacked(trees: Sequence[Any]) -> Any:
         return jax.device_put(np.stack(padded))
 
     return jax.tree.map(stack, *trees)
-
-
-# Runs as a model prepares them, with values that a fit found for each.
 
 
 def batch_members(model: AbstractModel, runs: Sequence[Run]) -> list[list[int]]:
@@ -77,8 +72,6 @@ def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> A
         inputs = replace(inputs, {path: values})
     return inputs
 
-
-# Recorded values as arrays, with what the noise makes of them: weights, and a whitening.
 
 Recorded = Sequence[Mapping[str, np.ndarray]]
 """Of each run, values by channel, SI; NaN where a cell does not count."""
@@ -147,9 +140,6 @@ def _whitening(
 def _padded(arrays: Sequence[np.ndarray], length: int) -> Array:
     rows = [np.pad(a, ((0, length - len(a)), (0, 0))) for a in arrays]
     return on_device(np.stack(rows), jnp.result_type(float))
-
-
-# Runs as arrays: those with the same channels stacked, so that they share a program.
 
 
 class RunBatch(eqx.Module):
@@ -366,18 +356,14 @@ def predictions_by_run(
     return by_run
 
 
-# Residuals of the runs of a problem: one run, those of a batch one after the other, and all.
-
-
 def run_residual(
     shared_and_own: Float[Array, " own"],
     problem: Problem,
     batch: RunBatch,
-    inputs: Any,
-    observed: Array,
-    weight: Array,
+    run: tuple[Any, ...],
 ) -> tuple[Float[Array, " residual"], tuple[Array, Array]]:
     """Residual of one run, not whitened; beside it its prediction and whether that succeeded."""
+    inputs, observed, weight, _ = run
     count = len(problem.paths)
     inputs = _with_own(inputs, batch, shared_and_own[count:])
     model = capabilities.for_derivatives(problem.at(shared_and_own), problem.free_paths(batch))
@@ -417,17 +403,11 @@ def residual(
 
 
 def whitened_run(
-    values: Array,
-    problem: Problem,
-    batch: RunBatch,
-    inputs: Any,
-    observed: Array,
-    weight: Array,
-    whitening: Any,
+    values: Array, problem: Problem, batch: RunBatch, run: tuple[Any, ...]
 ) -> tuple[Array, ...]:
     """A run's residual, its prediction, and whether that succeeded; as `over_batch` calls it."""
-    row, (table, successful) = run_residual(values, problem, batch, inputs, observed, weight)
-    return whitened(row[:, None], whitening)[:, 0], table, successful
+    row, (table, successful) = run_residual(values, problem, batch, run)
+    return whitened(row[:, None], run[-1])[:, 0], table, successful
 
 
 def joined(
@@ -460,8 +440,7 @@ def over_batch(
     rows = (values, batch.inputs, batch.observed, batch.weight, batch.whitening)
 
     def each(row: Any) -> tuple[Array, ...]:
-        own, *rest = row
-        return one(own, problem, batch, *rest)
+        return one(row[0], problem, batch, row[1:])
 
     if values.shape[0] == 1:
         result = each(jax.tree.map(lambda leaf: leaf[0], rows))

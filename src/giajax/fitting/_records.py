@@ -21,8 +21,6 @@ from ..schema.parameters import declared, replace
 from ._configuration import resolved_ties, tied
 from ._coordinates import Layout, members
 
-# What a result says of what its model leaves out and holds: records of `result.json`.
-
 SuspectKind = Literal["parameter", "factor", "group", "switch", "axes"]
 
 
@@ -253,8 +251,6 @@ class Start:
     message: str | None = None
 
 
-# Estimates as a table: for a terminal, and for a notebook.
-
 # A remark that would be squeezed into fewer columns than this goes below its row instead.
 _LEAST_REMARK = 36
 
@@ -319,9 +315,6 @@ def _rows(estimates: Mapping[str, Estimate]) -> list[_Row]:
         bounds = format_bounds(estimate.lower, estimate.upper)
         rows.append(_Row(path, value, error, estimate.unit or "-", bounds, estimate.remark))
     return rows
-
-
-# What a result says of single runs: fitted, held out, or predicted.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -458,8 +451,6 @@ class HeldOut:
     sha256: str | None
     channels: dict[str, HeldChannel]
 
-
-# What a result knows of single runs and groups of them: the values that not all runs share.
 
 # More rows than this are no table to read; `runs[].parameters` has all of them.
 _MANY = 12

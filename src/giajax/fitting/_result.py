@@ -41,8 +41,6 @@ from ._records import (
 )
 from ._steps import FitState, Reason
 
-# How a fit integrated its model, as a part of its result.
-
 
 @dataclasses.dataclass(frozen=True)
 class IntegrationFit:
@@ -66,9 +64,6 @@ def integration_of(state: FitState) -> IntegrationFit | None:
         return None
     chosen = state.setup.chooses_tolerance
     return IntegrationFit(integration.solver, integration.tolerance, chosen)
-
-
-# Predictions of a model for a run, as plain arrays.
 
 
 @program

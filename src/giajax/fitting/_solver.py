@@ -19,8 +19,6 @@ import optimistix as optx
 
 from ..runtime.arrays import Array, Bool, Float, Scalar
 
-# What the solver knows between two steps.
-
 Linearised = tuple[Array, Any, Array, Array, Any]
 """Residual, Jacobian, R and Q^T r of its QR factorisation, and auxiliary output."""
 
@@ -61,8 +59,6 @@ def residual_scale(state: MarquardtState) -> Any:
     size = state.residual.shape[0] - state.projected.shape[0]
     return (2 * state.cost / max(size, 1)) ** 0.5
 
-
-# The step of least squares in a box: between the bounds, and no longer than it may be.
 
 # How often coordinates that leave the box are put on its sides, those that want to come back let
 # go, and the rest solved anew; and how often all of them at once.
@@ -417,13 +413,19 @@ def _bounds(y: Array, options: dict[str, Any]) -> tuple[Array, Array]:
     return options.get("lower", -unbounded), options.get("upper", unbounded)
 
 
-def _linearise(fn: Callable, y: Array, args: Any) -> Linearised:
-    """Residual and Jacobian from one vmapped jvp, which shares the primal; R, Q^T r; aux."""
+def with_jacobian(
+    function: Callable[[Array], tuple[Array, Any]], at: Array
+) -> tuple[Array, Array, Any]:
+    """Value, Jacobian and auxiliary output from one vmapped jvp, which shares the primal."""
 
     def push(tangent: Array) -> tuple[Array, Array, Any]:
-        return jax.jvp(lambda y: fn(y, args), (y,), (tangent,), has_aux=True)
+        return jax.jvp(function, (at,), (tangent,), has_aux=True)
 
-    basis = jnp.eye(y.shape[0], dtype=y.dtype)
-    residual, jacobian, aux = jax.vmap(push, out_axes=(None, 1, None))(basis)
+    return jax.vmap(push, out_axes=(None, 1, None))(jnp.eye(at.shape[0], dtype=at.dtype))
+
+
+def _linearise(fn: Callable, y: Array, args: Any) -> Linearised:
+    """Residual and Jacobian; R, Q^T r; aux."""
+    residual, jacobian, aux = with_jacobian(lambda y: fn(y, args), y)
     q, r = jnp.linalg.qr(jnp.where(jnp.isfinite(jacobian), jacobian, 0))
     return residual, jacobian, r, q.T @ residual, aux

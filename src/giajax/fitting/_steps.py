@@ -26,8 +26,6 @@ from ._records import Iteration, Status
 from ._solver import Marquardt, MarquardtState, residual_scale
 from ._weights import KeptNoise, Noise, Priors
 
-# Names of the free coordinates of a fit.
-
 
 def coordinate_paths(problem: Problem) -> list[str]:
     """Path of the parameter at each position of the free coordinate."""
@@ -56,8 +54,6 @@ def labels(problem: Problem, runs: Sequence[Run]) -> list[str]:
         for who in [sharing[index]]
     ]
 
-
-# The word for what ended a fit; its sentence is the message.
 
 Reason = Literal[
     "optimum",

@@ -14,8 +14,6 @@ from ._noise import OUTLIER, residual_cells
 from ._steps import FitState
 from ._weights import mean_square_of_influence, scores
 
-# What the data cannot tell: parameters without response, and combinations that go together.
-
 # For a change of a parameter by its own size, in units of the noise: alone, the parameter would
 # have a standard error of a million times itself.
 _NO_RESPONSE = 1e-6
@@ -259,8 +257,6 @@ def dense_cells(cells: Cells, alive: np.ndarray, slope: np.ndarray) -> Cells:
     columns = cells.shared[:, alive] / np.maximum(slope[alive], 1e-300)
     return dataclasses.replace(cells, shared=columns)
 
-
-# Which recording determines which parameter: what its standard error would be without each.
 
 Sources = Mapping[str, float | None]
 """By recording, how many times larger a standard error would be; None: there would be none."""

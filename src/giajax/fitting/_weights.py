@@ -318,8 +318,6 @@ class Whitening(eqx.Module):
         return result.reshape(np.shape(rows))
 
 
-# Priors as rows of the residual: what is known of a parameter counts as one more measurement.
-
 Rows = Float[Array, " prior"]
 
 
