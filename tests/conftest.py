@@ -22,7 +22,7 @@ if version("jaxlib").startswith("0.10."):
         f"--{name}={str(value).lower() if isinstance(value, bool) else value}"
         for name, value in CPU_OPTIONS.items()
     ]
-    flags.append("--xla_backend_optimization_level=1")
+    flags.append("--xla_backend_optimization_level=0")
     os.environ.setdefault("XLA_FLAGS", " ".join(flags))
 
 import jax

@@ -107,7 +107,7 @@ def test_a_ladder_in_the_laminar_range_is_a_network_of_resistors():
     d, length, flow = 4e-3, 0.5, 1e-5 / 60
     values = {"ports__diameter": d, "ports__length": length, "supply__flow": flow}
     made = small(**values)
-    found = fill(made, limit=1e8)
+    found = fill(made, limit=1e7)
     resistance = 128 * 1.96e-5 * length / (np.pi * d**4)
     row = np.searchsorted(found.fullness[:, -1], 0.9)
     np.testing.assert_allclose(
