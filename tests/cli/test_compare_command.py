@@ -1,5 +1,6 @@
 """`giajax compare`: the differences of two results, and when they cannot be compared."""
 
+import dataclasses
 import json
 import math
 import shutil
@@ -7,29 +8,40 @@ from pathlib import Path
 
 import pytest
 
+from giajax import Prior
 from giajax.cli import main
+from giajax.fitting import load_result, set_up
+from giajax.models import model_for
+from giajax.recordings import read_run
 from page_reader import Page, loaded_from_elsewhere
 
 DATA = Path(__file__).resolve().parents[2] / "data" / "synthetic"
-MUSCLE = DATA / "muscle.csv"
-CHANGED = {
-    "free": [],
-    "held": ["--fix", "muscle.end_correction=1.5"],
-    "white": ["--noise-model", "white"],
-    "robust": ["--loss", "huber"],
-    "prior": ["--prior", "muscle.dead_band=25000+-500"],
+MUSCLE, OTHER = DATA / "muscle.csv", DATA / "muscle_empirical.csv"
+FITTED = {"free": [], "held": ["--fix", "muscle.end_correction=1.5"]}
+ASKED = {
+    "white": {"noise_model": "white"},
+    "robust": {"loss": "huber"},
+    "prior": {"priors": {"muscle.dead_band": Prior(25_000.0, deviation=500.0)}},
 }
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Fits of one muscle, and one of another recording."""
+    """Two fits of one muscle, and the first as if asked otherwise or of another recording."""
     folder = tmp_path_factory.mktemp("compare")
-    fits = {name: ["--data", str(MUSCLE), *options] for name, options in CHANGED.items()}
-    fits["other"] = ["--data", str(DATA / "muscle_empirical.csv")]
-    for name, words in fits.items():
-        quiet = ["--no-figures", "--quiet", "--no-suspects"]
-        main(["fit", *words, *quiet, "--out", str(folder / name)])
+    for name, words in FITTED.items():
+        quiet = ["--no-figures", "--quiet", "--no-suspects", "--out", str(folder / name)]
+        main(["fit", "--data", str(MUSCLE), *words, *quiet])
+    result, run = load_result(folder / "free"), read_run(MUSCLE)
+    others = {
+        name: dataclasses.replace(result, config=set_up(model_for([run]), run, **asked).config)
+        for name, asked in ASKED.items()
+    }
+    data = dataclasses.replace(result.runs[0], sha256=read_run(OTHER).sha256)
+    others["other"] = dataclasses.replace(result, runs=(data,))
+    for name, other in others.items():
+        (folder / name).mkdir()
+        (folder / name / "result.json").write_text(other.to_json())
     return folder
 
 

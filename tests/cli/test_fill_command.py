@@ -62,22 +62,20 @@ def test_it_writes_what_it_says(tmp_path, capsys):
 
 
 def test_options_change_what_is_printed(tmp_path, capsys):
-    (tmp_path / "three.toml").write_text("[arm]\nlinks = 3\n")
+    (tmp_path / "three.toml").write_text(DEFINITION)
     command = ["fill", str(tmp_path / "three.toml"), "--no-curve"]
     assert main([*command, "--json"]) == 0
     usual = json.loads(capsys.readouterr().out)
     assert "curve" not in usual
-    assert main([*command, "--json", "--set", "supply.flow=0.002"]) == 0
+    assert main([*command, "--json", "--set", "supply.pressure=6e5"]) == 0
     quicker = json.loads(capsys.readouterr().out)
     assert quicker["duration_s"] < 0.6 * usual["duration_s"]
     assert main([*command, "--set", "links.mass=1"]) == 0
     assert "the arm's lift does not bear it" in capsys.readouterr().out
 
 
-def test_a_bottle_with_too_little_is_said(tmp_path, capsys):
-    (tmp_path / "little.toml").write_text(
-        '[arm]\nlinks = 3\n[filling]\nsupply = "bottle"\nbottle_pressure_bar = 10.0\n'
-    )
+def test_a_supply_that_is_too_weak_is_said(tmp_path, capsys):
+    (tmp_path / "little.toml").write_text(DEFINITION.replace("1.5", "1e-9"))
     assert main(["fill", str(tmp_path / "little.toml"), "--no-curve"]) == 0
     assert "not full after 360 min: the supply is too weak, or has too" in capsys.readouterr().out
 

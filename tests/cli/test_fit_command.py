@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -170,7 +171,8 @@ def test_what_it_prints(fitted):
 
 def test_the_same_fit_again_writes_over_and_another_does_not(fitted, tmp_path, monkeypatch):
     data, folder, _ = fitted
-    base = ["fit", "--data", data, "--out", folder, "--quiet"]
+    folder = shutil.copytree(folder, tmp_path / "copy")
+    base = ["fit", "--data", data, "--out", folder, "--quiet", "--no-figures"]
     monkeypatch.chdir(tmp_path)
     before = contents(folder)
     other = make_run(tmp_path, seed=8)
@@ -205,7 +207,8 @@ def test_force_writes_over(data, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     (out / "result.json").write_text("{}")
-    base = ["fit", "--data", data, "--out", out, "--quiet", "--max-iterations", "1"]
+    base = ["fit", "--data", data, "--out", out, "--quiet", "--no-figures"]
+    base += ["--max-iterations", "1"]
     status, _, err = giajax(*base)
     assert status == 2
     assert "not a result of giajax" in err
@@ -224,9 +227,8 @@ def test_a_fit_that_does_not_converge_says_so_and_is_written(data, tmp_path):
 
 
 def test_json_is_alone_on_standard_output(data, tmp_path):
-    status, out, err = giajax(
-        "fit", "--data", data, *STARTS, "--max-iterations", "1", "--json", "--out", "here"
-    )
+    options = ["--max-iterations", "1", "--json", "--no-figures", "--out", "here"]
+    status, out, err = giajax("fit", "--data", data, *STARTS, *options)
     assert status == 1
     assert "compiling" in err
     assert out == (tmp_path / "here" / "result.json").read_text()
@@ -328,7 +330,7 @@ def test_an_interruption_in_the_loop_writes_the_best_so_far(data, tmp_path, monk
             raise KeyboardInterrupt
 
     monkeypatch.setattr(command.Progress, "__call__", interrupt)
-    status, out, err = giajax("fit", "--data", data, *STARTS, "--out", "out")
+    status, out, err = giajax("fit", "--data", data, *STARTS, "--no-figures", "--out", "out")
     assert status == 130
     assert "interrupted after 2 iterations" in out
     assert "Traceback" not in err

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import shutil
 
 import numpy as np
 import pytest
@@ -25,14 +26,20 @@ NAMES = [
 ]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
+def whole(result, run, tmp_path_factory):
+    """The folder of a result with its figures, and the files that it was said to have."""
+    folder = tmp_path_factory.mktemp("whole") / "some" / "where"
+    return folder, write_result(result, run, folder)
+
+
+@pytest.fixture(scope="module")
 def config(run):
     return set_up(model_for([run]), [run], start=START).config
 
 
-def test_what_is_written(result, run, tmp_path):
-    folder = tmp_path / "some" / "where"
-    files = write_result(result, run, folder)
+def test_what_is_written(result, whole):
+    folder, files = whole
     assert [path.name for path in files] == NAMES
     assert sorted(os.listdir(folder)) == sorted(NAMES)  # and no half-written file
     assert (folder / "result.json").read_text() == result.to_json()
@@ -41,7 +48,7 @@ def test_what_is_written(result, run, tmp_path):
 
 
 def test_the_prediction_is_a_run_with_the_columns_of_the_recording(result, run, tmp_path):
-    write_result(result, run, tmp_path)
+    write_result(result, run, tmp_path, figures=False)
     predicted = read_run(tmp_path / "prediction.csv")
     recorded = (run.path.read_text(), (tmp_path / "prediction.csv").read_text())
     assert recorded[0].splitlines()[0] == recorded[1].splitlines()[0]
@@ -60,7 +67,7 @@ def test_a_free_motion_and_its_initial_state_are_in_the_prediction(result, tmp_p
     definition = {"arm": {"links": 4}, "initial": {"angle_deg": [10.0, 0, 0, 0]}}
     swing = Run.from_arrays(times, {"link04_z": np.zeros(5)}, definition=definition)
     free = fit(model_for([swing]), swing, free=["joints.damping"], max_iterations=1, check=False)
-    write_result(free, swing, tmp_path)
+    write_result(free, swing, tmp_path, figures=False)
     predicted = read_run(tmp_path / "prediction.csv")
     assert predicted.definition.section(InitialSection).angle_deg == [10.0, 0, 0, 0]
     again = load_result(tmp_path).predict(predicted)["link04_z"]
@@ -92,8 +99,8 @@ def test_several_runs_are_in_one_file_and_have_a_figure_each(tmp_path):
     )
 
 
-def test_stale_figures_go_and_a_persons_own_stay(result, run, tmp_path):
-    write_result(result, run, tmp_path)
+def test_stale_figures_go_and_a_persons_own_stay(result, run, whole, tmp_path):
+    shutil.copytree(whole[0], tmp_path, dirs_exist_ok=True)
     (tmp_path / "recorded.png").rename(tmp_path / "recorded_old.png")
     (tmp_path / "recorded_mine.png").write_bytes(b"\x89PNG mine")
     (tmp_path / "notes.txt").write_text("mine")
@@ -101,14 +108,13 @@ def test_stale_figures_go_and_a_persons_own_stay(result, run, tmp_path):
     assert sorted(os.listdir(tmp_path)) == sorted([*NAMES, "recorded_mine.png", "notes.txt"])
 
 
-def test_figures_are_drawn_later_or_not_at_all(result, run, tmp_path):
-    write_result(result, run, tmp_path / "whole")
+def test_figures_are_drawn_later_or_not_at_all(result, run, whole, tmp_path):
     files = write_result(result, run, tmp_path / "parts", figures=False)
     assert [path.name for path in files] == ["result.json", "prediction.csv", "prediction.toml"]
     assert sorted(os.listdir(tmp_path / "parts")) == sorted(path.name for path in files)
     write_figures(result, run, tmp_path / "parts")
     for name in NAMES:
-        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+        assert (tmp_path / "parts" / name).read_bytes() == (whole[0] / name).read_bytes()
 
 
 def test_a_disk_that_fills_up_keeps_the_result(result, run, tmp_path, monkeypatch):
@@ -127,8 +133,8 @@ def test_a_disk_that_fills_up_keeps_the_result(result, run, tmp_path, monkeypatc
 
 
 def test_a_loaded_result_writes_the_same_files(result, run, tmp_path):
-    write_result(result, run, tmp_path / "a")
-    write_result(load_result(tmp_path / "a"), run, tmp_path / "b")
+    write_result(result, run, tmp_path / "a", figures=False)
+    write_result(load_result(tmp_path / "a"), run, tmp_path / "b", figures=False)
     for name in ("result.json", "prediction.csv"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
@@ -143,8 +149,8 @@ def test_an_interruption_of_the_drawing_keeps_the_result(result, run, tmp_path, 
     assert sorted(os.listdir(tmp_path)) == ["prediction.csv", "prediction.toml", "result.json"]
 
 
-def test_a_failed_write_leaves_what_was_there(result, run, tmp_path, monkeypatch):
-    write_result(result, run, tmp_path)
+def test_a_failed_write_leaves_what_was_there(result, run, whole, tmp_path, monkeypatch):
+    shutil.copytree(whole[0], tmp_path, dirs_exist_ok=True)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
 
     def fail(*_):
@@ -167,7 +173,7 @@ def test_the_same_fit_may_be_written_again(result, run, config, tmp_path):
     check_folder(tmp_path / "new" / "folder", [run], config)
     (tmp_path / "notes.txt").write_text("mine")
     check_folder(tmp_path, [run], config)
-    write_result(result, run, tmp_path)
+    write_result(result, run, tmp_path, figures=False)
     check_folder(tmp_path, [run], config)
     assert not (tmp_path / "new").exists()
 
@@ -182,18 +188,16 @@ CHANGES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES)
-def test_another_configuration_is_refused(result, run, config, tmp_path, change):
-    write_result(result, run, tmp_path)
+def test_another_configuration_is_refused(run, whole, change):
     arguments = {"start": START, **CHANGES[change]}
     other = set_up(model_for([run]), [run], **arguments).config
     words = {"definition": "model's constants"}
     with pytest.raises(InputError, match=rf"another configuration.*{words.get(change, change)}"):
-        check_folder(tmp_path, [run], other)
-    check_folder(tmp_path, [run], other, force=True)
+        check_folder(whole[0], [run], other)
+    check_folder(whole[0], [run], other, force=True)
 
 
-def test_another_noise_in_the_sidecar_is_another_configuration(result, run, tmp_path):
-    write_result(result, run, tmp_path / "out")
+def test_another_noise_in_the_sidecar_is_another_configuration(run, whole, tmp_path):
     sidecar = (
         run.path.with_suffix(".toml").read_text().replace("position_m = 0.01", "position_m = 0.02")
     )
@@ -202,16 +206,15 @@ def test_another_noise_in_the_sidecar_is_another_configuration(result, run, tmp_
     louder = read_run(tmp_path / "run.csv")
     other = set_up(model_for([louder]), [louder], start=START).config
     with pytest.raises(InputError, match="what the sidecar states"):
-        check_folder(tmp_path / "out", [louder], other)
+        check_folder(whole[0], [louder], other)
 
 
-def test_other_data_are_refused(result, run, tmp_path):
-    write_result(result, run, tmp_path / "out")
+def test_other_data_are_refused(whole, tmp_path):
     other = read_run(make_run(tmp_path, seed=3))
     config = set_up(model_for([other]), [other], start=START).config
     with pytest.raises(InputError, match=r"other data \(run\).*--force"):
-        check_folder(tmp_path / "out", [other], config)
-    check_folder(tmp_path / "out", [other], config, force=True)
+        check_folder(whole[0], [other], config)
+    check_folder(whole[0], [other], config, force=True)
 
 
 @pytest.mark.parametrize("content", ["", "{}", "[1]", "3", '{"runs": 3, "config": 1}', "\x00"])
@@ -240,7 +243,7 @@ def test_a_folder_without_permission_is_refused(run, config, tmp_path):
 
 def test_what_is_not_finite_is_null(result, run, tmp_path):
     odd = dataclasses.replace(result, cost=float("nan"), reduced_chi_square=float("inf"))
-    write_result(odd, run, tmp_path)
+    write_result(odd, run, tmp_path, figures=False)
     record = json.loads((tmp_path / "result.json").read_text())
     assert record["cost"] is None
     assert record["reduced_chi_square"] is None
