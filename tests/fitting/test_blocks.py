@@ -81,7 +81,7 @@ def problem_of(runs, loss="linear"):
     model = OwnHeights()
     layout = Layout.of(["decay"], {}, len(runs))
     batches = build_batches(model, runs, Noise.of(runs, "correlated", per_run=False), layout)
-    own = own_start(batches)
+    own = own_start(batches, runs, {})
     bijector = Bijector.of(
         (0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)), (1.5, *own)
     )

@@ -1,5 +1,6 @@
 """Checks at the end of a fit: its derivatives, a finer tolerance, and how straight it all is."""
 
+import contextlib
 import dataclasses
 from typing import NamedTuple
 
@@ -294,15 +295,12 @@ class Checks(NamedTuple):
 
 def checks(state: FitState, statistics: Statistics) -> Checks:
     """The checks of a fit; it is done, and worth keeping, when Ctrl-C comes here."""
-    gradient = tolerance = None
-    bent: dict[int, Curvature] = {}
-    try:
-        gradient = gradient_check(state, statistics)
-        tolerance = tolerance_effect(state, statistics)
-        bent = curvatures(state, statistics)
-    except KeyboardInterrupt:
-        return Checks(gradient, tolerance, bent, interrupted=True)
-    return Checks(gradient, tolerance, bent, interrupted=False)
+    done = Checks(None, None, {}, interrupted=True)
+    with contextlib.suppress(KeyboardInterrupt):
+        done = done._replace(gradient=gradient_check(state, statistics))
+        done = done._replace(tolerance=tolerance_effect(state, statistics))
+        done = done._replace(curvatures=curvatures(state, statistics), interrupted=False)
+    return done
 
 
 def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | None:
@@ -384,13 +382,11 @@ def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect
     jacobian = state.natural_jacobian
     gram = np.linalg.pinv(jacobian.reduced()[:, determined])
     shifts = -gram @ (gram.T @ jacobian.transposed_times(change)[determined])
-    by_parameter = {}
-    largest = 0.0
+    by_parameter, largest = {}, 0.0
     for index, shift in zip(determined, shifts.tolist(), strict=True):
         error = statistics.standard_errors[index]
         relative = abs(shift) / error if error else np.inf
         largest = max(largest, relative)
-        by_parameter[statistics.labels[index]] = Shift(
-            finite_or_none(shift), finite_or_none(relative)
-        )
+        moved = Shift(finite_or_none(shift), finite_or_none(relative))
+        by_parameter[statistics.labels[index]] = moved
     return ToleranceEffect(finer_factor(state), finite_or_none(largest), by_parameter)

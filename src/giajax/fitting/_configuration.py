@@ -413,6 +413,11 @@ def _free_elements(
     return free
 
 
+def element_labels(path: str, size: int) -> list[str]:
+    """Names of the elements of what is free in a run by its nature."""
+    return [f"{path}[{index}]" for index in range(size)] if size > 1 else [path]
+
+
 def _own_paths(model: AbstractModel, runs: Sequence[Run]) -> set[str]:
     """Paths of what is free in single runs, with and without an index."""
     paths: set[str] = set()
@@ -518,8 +523,7 @@ def _check_determined(setup: Setup) -> None:
     for run in setup.runs:
         inputs = setup.model.prepare(run)
         for path in capabilities.free_inputs(setup.model, run):
-            size = get(inputs, path).size
-            paths += [f"{path}[{index}]" for index in range(size)] if size > 1 else [path]
+            paths += element_labels(path, get(inputs, path).size)
     if not paths:
         raise InputError("no parameter is free: free at least one")
     measured = sum(

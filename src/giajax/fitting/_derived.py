@@ -322,12 +322,9 @@ def responses(
     place = np.argsort(np.asarray(order, dtype=int))
     paths = tuple(directions[index].path for index in order)
     steps = tuple(jnp.asarray(directions[index].step, jnp.result_type(float)) for index in order)
-    for members in batch_members(model, runs):
-        like = runs[members[0]]
-        channels = tuple(like.observations)
-        free = capabilities.free_inputs(model, like)
-        inputs = stacked([prepared_with(model, runs[i], own[i] if own else {}) for i in members])
-        sizes = tuple((path, get(inputs, path)[0].size) for path in free)
+    prepared = [prepared_with(model, run, own[i] if own else {}) for i, run in enumerate(runs)]
+    for channels, sizes, members in batch_members(model, runs, prepared):
+        inputs = stacked([prepared[i] for i in members])
         varied = tuple(values[0]) if values else ()
         changed = [[values[index][path] for path in varied] for index in members]
         rows = jnp.asarray(np.asarray(changed, dtype=float), jnp.result_type(float))
@@ -339,7 +336,7 @@ def responses(
         if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)
             # Derivatives may take other steps than the motion, which is right by itself then.
-            ready = capabilities.for_derivatives(model, (*paths, *free))
+            ready = capabilities.for_derivatives(model, (*paths, *(path for path, _ in sizes)))
             why = capabilities.failure(ready, first)
             why = why or "a derivative of it is not finite"
             raise InputError(f"the fitted model cannot be evaluated: {why}")

@@ -44,7 +44,7 @@ from ._configuration import Setup, WarmStart, between, set_up
 from ._noise import TOLERANCE, prior_gram, residual_cells, series_of, shared_and_own
 from ._problem import predictions_by_run
 from ._records import HeldChannel, HeldOut, recorded_noise
-from ._result import FitResult
+from ._result import FitResult, errors_of
 from ._steps import FitState, at_tolerance, begin, move, reweight, step
 from ._weights import Noise
 
@@ -88,7 +88,8 @@ class HoldOut:
                 names = list(part.held.observations)
                 known = {name: channels[name] for name in names if name in channels}
                 of_run = {name: sizes.get((number, name), math.inf) for name in names}
-                errors = _errors(part.whole, part.held, known)
+                found = errors_of(part.held, known).channels
+                errors = {name: found[name].rmse if name in found else math.inf for name in names}
                 records.append(_record(part.whole, part.held, errors, of_run))
                 of_held.append(known)
             if part.fitted is not None:
@@ -158,16 +159,6 @@ def _among(groups: Groups, runs: Sequence[Run], everything: Sequence[Run]) -> Gr
         path: [kept for names in sharing if (kept := [name for name in names if name not in gone])]
         for path, sharing in groups.items()
     }
-
-
-def _errors(whole: Run, held: Run, predicted: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Root mean square error of the held cells of each channel, in the unit of the recording."""
-    errors = dict.fromkeys(held.observations, math.inf)
-    for name, values in predicted.items():
-        observed = held.observations[name]
-        off = (values - observed)[~np.isnan(observed)]
-        errors[name] = float(whole.channels[name].from_si(np.sqrt(np.mean(off**2))))
-    return errors
 
 
 def _record(

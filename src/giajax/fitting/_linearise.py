@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Self
 
@@ -326,18 +327,10 @@ def blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtSt
         jax.ShapeDtypeStruct((), bool),
     )
     shape = result_row(coordinate, problem)
+    sizes = [(len(g.members), math.prod(g.observed.shape[1:])) for g in batches]
+    widths = [len(g.shared[0]) + g.width for g in batches]
     # By numpy, as in the solver: each operation of JAX here would be a program of its own.
-    blocks = tuple(
-        np.zeros(
-            (
-                len(g.members),
-                g.observed.size // len(g.members),
-                len(g.shared[0]) + sum(size for _, size in g.own),
-            ),
-            dtype,
-        )
-        for g in batches
-    )
+    blocks = [np.zeros((*n, w), dtype) for n, w in zip(sizes, widths, strict=True)]
     options = {"jacobian": (*blocks, np.zeros(len(problem.priors.columns), dtype))}
     return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
 

@@ -90,7 +90,8 @@ class Optimum:
     @property
     def predictions(self) -> list[dict[str, np.ndarray]]:
         """Of each run, by channel, SI."""
-        return self._predictions(self.state)
+        state = self.state
+        return predictions_by_run(state.problem, state.inner.aux, state.setup.runs)
 
     def position(self, label: str) -> int:
         """Where a free parameter stands.
@@ -125,12 +126,9 @@ class Optimum:
         there = dataclasses.replace(
             self.state, coordinate=on_device(coordinate, self.state.coordinate.dtype), inner=inner
         )
-        return Point(
-            cost=float(inner.cost),
-            residual=np.asarray(inner.residual),
-            jacobian=there.natural_jacobian,
-            predictions=self._predictions(there),
-        )
+        predictions = predictions_by_run(there.problem, inner.aux, there.setup.runs)
+        residual = np.asarray(inner.residual)
+        return Point(float(inner.cost), residual, there.natural_jacobian, predictions)
 
     def refit(
         self,
@@ -185,9 +183,6 @@ class Optimum:
         )
         return refitted(move(begun, problem.bijector.inverse(values)), max_iterations)
 
-    def _predictions(self, state: FitState) -> list[dict[str, np.ndarray]]:
-        return predictions_by_run(state.problem, state.inner.aux, state.setup.runs)
-
 
 def optimum(setup: Setup, records: Sequence[RunFit]) -> Optimum:
     """The optimum of a fit, without fitting it again.
@@ -201,7 +196,11 @@ def optimum(setup: Setup, records: Sequence[RunFit]) -> Optimum:
         InputError: the model cannot be evaluated there.
     """
     begun = begin(dataclasses.replace(setup, unstarted=()))
-    noise = begun.noise.with_values(_noise_of(begun.noise, setup, records))
+    noise = begun.noise.with_values({
+        key: recorded_noise(run.channels[name], record.channels[name])
+        for run, record, keys in zip(setup.runs, records, begun.noise.keys, strict=True)
+        for name, key in keys.items()
+    })  # fmt: skip
     noise = dataclasses.replace(noise, estimated=not noise.complete)
     state = _evaluated(begun, noise)
     if setup.settings.loss != "linear" and noise.correlated:
@@ -217,15 +216,6 @@ def _evaluated(begun: FitState, noise: Noise) -> FitState:
     if not state.evaluated:
         raise InputError("the model cannot be evaluated where the fit ended")
     return with_active(state, responds(state.natural_jacobian.norms(), state.sizes))
-
-
-def _noise_of(noise: Noise, setup: Setup, records: Sequence[RunFit]) -> dict[str, ChannelNoise]:
-    """The noise of each key, as the records of the runs have it."""
-    return {
-        key: recorded_noise(run.channels[name], record.channels[name])
-        for run, record, keys in zip(setup.runs, records, noise.keys, strict=True)
-        for name, key in keys.items()
-    }
 
 
 # Of scaled columns: eigenvalues below this, of the largest, are directions that nothing shows.
@@ -290,13 +280,11 @@ class CellEquations:
             for key, each in residual_cells(state, together=True).items()
         }
         rows, off = prior_rows(state, np.asarray(at, dtype=int))
+        recorded = [run.observations for run in state.setup.runs]
         return cls(
             positions=tuple(at),
             cells=cells,
-            rows={
-                (run, name): ~np.isnan(state.setup.runs[run].observations[name])
-                for run, name in cells
-            },
+            rows={(run, name): ~np.isnan(recorded[run][name]) for run, name in cells},
             noise=state.noise.by_key(),
             loss=state.problem.loss,
             priors=Equations(rows.T @ rows, rows.T @ off),

@@ -13,7 +13,7 @@ from ..models import AbstractModel, capabilities
 from ..recordings import Run
 from ..runtime.arrays import Array, Float, on_device
 from ..schema.parameters import get, replace
-from ._configuration import Tie, tied, within_bounds
+from ._configuration import Tie, element_labels, tied, within_bounds
 from ._coordinates import Bijector, Layout
 from ._weights import Noise, Priors, Whitening, transform
 
@@ -36,14 +36,21 @@ def stacked(trees: Sequence[Any]) -> Any:
     return jax.tree.map(stack, *trees)
 
 
-def batch_members(model: AbstractModel, runs: Sequence[Run]) -> list[list[int]]:
-    """Positions of the runs that share a program: of the same channels, and prepared alike."""
+Own = tuple[tuple[str, int], ...]
+"""Paths and sizes of the prepared inputs' parameters that are free in each run."""
+
+
+def batch_members(
+    model: AbstractModel, runs: Sequence[Run], prepared: Sequence[Any]
+) -> list[tuple[tuple[str, ...], Own, list[int]]]:
+    """Positions of the runs that share a program, with the channels and what is free in each."""
     members: dict[Any, list[int]] = {}
-    for index, run in enumerate(runs):
-        structure = jax.tree.structure(model.prepare(run))
-        key = tuple(run.observations), structure, capabilities.free_inputs(model, run)
+    for index, (run, inputs) in enumerate(zip(runs, prepared, strict=True)):
+        free = capabilities.free_inputs(model, run)
+        own = tuple((path, get(inputs, path).size) for path in free)
+        key = tuple(run.observations), own, jax.tree.structure(inputs)
         members.setdefault(key, []).append(index)
-    return list(members.values())
+    return [(channels, own, indices) for (channels, own, _), indices in members.items()]
 
 
 def chunk_size(count: int) -> int:
@@ -66,8 +73,7 @@ def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> A
     inputs = model.prepare(run)
     for path in capabilities.free_inputs(model, run):
         values = np.array(get(inputs, path), dtype=float)
-        for index in range(values.size):
-            label = f"{path}[{index}]" if values.size > 1 else path
+        for index, label in enumerate(element_labels(path, values.size)):
             values.reshape(-1)[index] = own.get(label, values.reshape(-1)[index])
         inputs = replace(inputs, {path: values})
     return inputs
@@ -124,12 +130,10 @@ def _whitening(
         times = runs[i].times
         if times is None:
             return None
-        measured = {
-            name: np.where(np.isnan(values), 0.0, 1.0) for name, values in recorded[i].items()
-        }
         weights = {
-            name: cells if noise.weights is None else cells * noise.weights[i][name]
-            for name, cells in measured.items()
+            name: np.where(np.isnan(cells), 0.0, 1.0 if known is None else known[name])
+            for known in [None if noise.weights is None else noise.weights[i]]
+            for name, cells in recorded[i].items()
         }
         of_run = {name: noise.values[i][name] for name in channels}
         parts.append(Whitening.of(of_run, times, weights, length))
@@ -151,7 +155,7 @@ class RunBatch(eqx.Module):
         weight: 1 / standard deviation, 0 where not measured.
         whitening: of correlated noise; None where there can be none.
         members: positions of the runs in the list that was fitted.
-        own: paths and sizes of the prepared inputs' parameters that are free in each run.
+        own: as of `batch_members`.
         first: position of the first of them in the free coordinate.
         shared: by run, the position of its value of each of the model's free parameters.
     """
@@ -162,7 +166,7 @@ class RunBatch(eqx.Module):
     whitening: Whitening | None
     channels: tuple[str, ...] = eqx.field(static=True)
     members: tuple[int, ...] = eqx.field(static=True)
-    own: tuple[tuple[str, int], ...] = eqx.field(static=True)
+    own: Own = eqx.field(static=True)
     first: int = eqx.field(static=True)
     shared: tuple[tuple[int, ...], ...] = eqx.field(static=True)
 
@@ -182,11 +186,7 @@ class RunBatch(eqx.Module):
 
     def own_labels(self) -> list[str]:
         """Names of the coordinates that belong to one run, element by element."""
-        return [
-            f"{path}[{index}]" if size > 1 else path
-            for path, size in self.own
-            for index in range(size)
-        ]
+        return [label for path, size in self.own for label in element_labels(path, size)]
 
 
 def build_batches(
@@ -196,20 +196,11 @@ def build_batches(
 
     The batches are in the order of their first runs; the layout is of the model's own parameters.
     """
-    members: dict[Any, list[int]] = {}
     prepared = [model.prepare(run) for run in runs]
-    owns = [
-        tuple((path, get(inputs, path).size) for path in capabilities.free_inputs(model, run))
-        for run, inputs in zip(runs, prepared, strict=True)
-    ]
-    for index, run in enumerate(runs):
-        structure = jax.tree.structure(prepared[index])
-        key = (tuple(run.observations), structure, owns[index])
-        members.setdefault(key, []).append(index)
     batches = []
     first = layout.size
     recorded = [run.observations for run in runs]
-    for (channels, _, own), indices in members.items():
+    for channels, own, indices in batch_members(model, runs, prepared):
         batch = RunBatch(
             inputs=stacked([prepared[i] for i in indices]),
             **recorded_cells(runs, noise, indices, channels, recorded),
@@ -236,30 +227,19 @@ def with_recorded(
     )
 
 
-def own_start(batches: Sequence[RunBatch]) -> np.ndarray:
-    """Where the coordinates of the single runs start: as their runs were prepared."""
-    values = [
-        np.asarray(get(batch.inputs, path)[row], dtype=float).ravel()
-        for batch in batches
-        for row in range(len(batch.members))
-        for path, _ in batch.own
-    ]
-    return np.concatenate([np.empty(0), *values])
-
-
-def own_values(
+def own_start(
     batches: Sequence[RunBatch], runs: Sequence[Run], begun: Mapping[str, Mapping[str, float]]
 ) -> np.ndarray:
-    """As `own_start`, apart from those that begin elsewhere."""
-    own = iter(own_start(batches).tolist())
-    return np.asarray(
-        [
-            begun.get(runs[member].name, {}).get(label, start)
-            for batch in batches
-            for member in batch.members
-            for label, start in zip(batch.own_labels(), own, strict=False)
-        ]
-    )
+    """Where the coordinates of the single runs start: as prepared, where they are not `begun`."""
+    values: list[float] = []
+    for batch in batches:
+        for row, member in enumerate(batch.members):
+            known = begun.get(runs[member].name, {})
+            for path, size in batch.own:
+                usual = np.asarray(get(batch.inputs, path)[row], dtype=float).ravel().tolist()
+                labels = element_labels(path, size)
+                values += [known.get(n, start) for n, start in zip(labels, usual, strict=True)]
+    return np.asarray(values, dtype=float)
 
 
 class Problem(eqx.Module):

@@ -21,7 +21,7 @@ from ..runtime.records import from_plain
 from ._configuration import Setup
 from ._coordinates import Bijector, names_of
 from ._linearise import BlockJacobian, blank, residuals, stepped
-from ._problem import Problem, RunBatch, build_batches, own_values, with_recorded
+from ._problem import Problem, RunBatch, build_batches, own_start, with_recorded
 from ._records import Iteration, Status
 from ._solver import Marquardt, MarquardtState, residual_scale
 from ._weights import KeptNoise, Noise, Priors
@@ -232,7 +232,7 @@ def begin(setup: Setup) -> FitState:
         model = capabilities.with_integration(
             model, solver=None, tolerance=setup.suited or coarsest
         )
-    own = own_values(batches, setup.runs, setup.own)
+    own = own_start(batches, setup.runs, setup.own)
     # Each value of a parameter, of which there is one for all runs or one for each group of them.
     each = [p for p, places in zip(parameters, layout.places, strict=True) for _ in places]
     start = np.asarray([*setup.starts(), *own])
@@ -389,6 +389,8 @@ _SOLVER = ("damping", "growth", "scale", "step", "accepted", "detour", "finite",
 # Their names in a journal, where they are others.
 _STORED = {"finite": "sound"}
 
+# Attributes of a state that a line has as they are.
+_AS_THEY_ARE = ("trials", "done", "converged", "rounds_left", "round_began", "ending")
 
 CHANGED = "the journal is not that of this fit, or a line of it was changed"
 
@@ -443,38 +445,26 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
     """
     if not journal.lines:
         return begun, 0.0
-    lines = [_kept(line) for line in journal.lines]
+    records = [{name: one for name, one in line.items() if name != "fit"} for line in journal.lines]
+    remedy = "begin again without it"
+    lines = [from_plain(KeptState, record, CHANGED, remedy) for record in records]
     last = lines[-1]
     coordinate, active = np.asarray(last.coordinate, dtype=float), np.asarray(last.active)
     if coordinate.shape != begun.coordinate.shape or active.shape != coordinate.shape:
         raise ValueError("another number of free coordinates")
-    there = dataclasses.replace(
-        move(
-            at_tolerance(reweight(begun, begun.noise.again(last.noise)), last.tolerance), coordinate
-        ),
-        active=jnp.asarray(active),
-    )
+    there = at_tolerance(reweight(begun, begun.noise.again(last.noise)), last.tolerance)
+    there = dataclasses.replace(move(there, coordinate), active=jnp.asarray(active))
     there = step(there)
     if there.cost != last.cost:
         journal.bits_differ()
     state = dataclasses.replace(
         there,
         inner=_with_solver(there.inner, last.solver),
-        done=last.done,
-        converged=last.converged,
-        trials=last.trials,
-        rounds_left=last.rounds_left,
-        round_began=last.round_began,
         history=tuple(item for line in lines for item in line.history),
         step_seconds=tuple(item for line in lines for item in line.step_seconds),
-        ending=last.ending,
+        **{name: getattr(last, name) for name in _AS_THEY_ARE},
     )
     return state, last.seconds
-
-
-def _kept(line: Mapping[str, Any]) -> KeptState:
-    record = {key: value for key, value in line.items() if key != "fit"}
-    return from_plain(KeptState, record, CHANGED, "begin again without it")
 
 
 def journal_writer(state: FitState, journal: FitJournal, elapsed: Callable[[], float]) -> Callable:
@@ -485,21 +475,16 @@ def journal_writer(state: FitState, journal: FitJournal, elapsed: Callable[[], f
         nonlocal shown, stepped
         inner = reached.inner
         line = KeptState(
-            trials=reached.trials,
+            **{name: getattr(reached, name) for name in _AS_THEY_ARE},
             cost=reached.cost,
             coordinate=np.asarray(reached.coordinate).tolist(),
             active=np.asarray(reached.active).tolist(),
             solver={_STORED.get(k, k): np.asarray(getattr(inner, k)).tolist() for k in _SOLVER},
-            done=reached.done,
-            converged=reached.converged,
-            rounds_left=reached.rounds_left,
-            round_began=reached.round_began,
             noise=reached.noise.kept(),
             tolerance=reached.tolerance,
             history=reached.history[shown:],
             step_seconds=reached.step_seconds[stepped:],
             seconds=elapsed(),
-            ending=reached.ending,
         )
         shown, stepped = len(reached.history), len(reached.step_seconds)
         journal.append(dataclasses.asdict(line))

@@ -274,14 +274,27 @@ def replicates(
     """
     optimum = fitted.optimum()
     sources = _sources(optimum) if method == "block" else []
-    rows = []
+    rows: list[dict[str, Any]] = []
     for number in range(first, first + count):
         random = np.random.default_rng([seed, number])
         recorded = [source.again(random) for source in sources] or noisy(optimum, random)
         if whole:
-            rows.append(_whole(fitted, recorded))
-        else:
-            rows.append(_held(fitted, recorded, known_again(optimum, random)))
+            others = [
+                dataclasses.replace(run, values={**run.values, **values})
+                for run, values in zip(fitted.runs, recorded, strict=True)
+            ]
+            anew = refit(fitted.result, others)
+            there = optimum_of(anew, others)
+            end = anew.status == "converged", anew.reason
+            rows.append(_found(fitted.result, there, there.statistics, *end))
+            continue
+        again = optimum.refit(recorded=recorded, centres=known_again(optimum, random))
+        end = again.converged, again.reason
+        rows.append(
+            _found(fitted.result, optimum, again.statistics, *end)
+            if again.state.evaluated
+            else {"converged": False, "reason": again.reason}
+        )
     return rows
 
 
@@ -292,21 +305,18 @@ def noisy(optimum: Optimum, random: np.random.Generator) -> Recorded:
     channel; NaN where nothing was measured.
     """
     state, factor = optimum.state, np.sqrt(optimum.statistics.scale)
+    several = state.noise.weights or [None] * len(state.setup.runs)
+    pairs = zip(state.setup.runs, optimum.predictions, state.noise.values, several, strict=True)
     recorded = []
-    for index, (run, predicted) in enumerate(
-        zip(state.setup.runs, optimum.predictions, strict=True)
-    ):
+    for run, predicted, noises, of_run in pairs:
         names = list(run.observations)
-        weights = np.ones((len(predicted[names[0]]), len(names)))
-        if state.noise.weights is not None:
-            of_run = state.noise.weights[index]
-            weights = np.stack([of_run[name] for name in names], axis=-1)
-        noises = [state.noise.values[index][name] for name in names]
-        noise = factor * drawn(noises, run.times, weights, random)
+        ones = np.ones(len(predicted[names[0]]))
+        weights = np.stack([of_run[n] if of_run is not None else ones for n in names], axis=-1)
+        noise = factor * drawn([noises[name] for name in names], run.times, weights, random)
         recorded.append(
             {
-                name: np.where(np.isnan(run.observations[name]), np.nan, predicted[name] + column)
-                for name, column in zip(names, noise.T, strict=True)
+                name: np.where(np.isnan(values), np.nan, predicted[name] + column)
+                for (name, values), column in zip(run.observations.items(), noise.T, strict=True)
             }
         )
     return recorded
@@ -336,27 +346,6 @@ def _sources(optimum: Optimum) -> list[Residuals]:
     inflation = float(np.sqrt(max(cells, 1) / freedom))
     several = zip(state.setup.runs, optimum.predictions, state.noise.values, strict=True)
     return [Residuals.of(run, at, noise, inflation) for run, at, noise in several]
-
-
-def _held(fitted: Fitted, recorded: Recorded, centres: np.ndarray | None) -> dict[str, Any]:
-    """A fit with the noise as it is."""
-    optimum = fitted.optimum()
-    again = optimum.refit(recorded=recorded, centres=centres)
-    if not again.state.evaluated:
-        return {"converged": False, "reason": again.reason}
-    return _found(fitted.result, optimum, again.statistics, again.converged, again.reason)
-
-
-def _whole(fitted: Fitted, recorded: Recorded) -> dict[str, Any]:
-    """A fit as the data were fitted, noise and all, from where that ended."""
-    others = [
-        dataclasses.replace(run, values={**run.values, **values})
-        for run, values in zip(fitted.runs, recorded, strict=True)
-    ]
-    again = refit(fitted.result, others)
-    there = optimum_of(again, others)
-    converged = again.status == "converged"
-    return _found(fitted.result, there, there.statistics, converged, again.reason)
 
 
 def _found(
@@ -451,10 +440,8 @@ def bootstrap(
         )
     optimum = fitted.optimum()
     common = {"method": method, "whole": whole, "seed": seed}
-    chunks = [
-        {**common, "first": first, "count": min(CHUNK, size - first)}
-        for first in range(0, size, CHUNK)
-    ]
+    firsts = range(0, size, CHUNK)
+    chunks = [{**common, "first": at, "count": min(CHUNK, size - at)} for at in firsts]
     outcomes = fitted.study(replicates, chunks, **how)
     rows = [row for outcome in outcomes if outcome.status == "done" for row in outcome.value]
     failures = tuple(dict.fromkeys(each.message for each in outcomes if each.message))
@@ -463,6 +450,7 @@ def bootstrap(
         raise InputError(f"no two repetitions of the fit could be done: {why}")
     back = [row for row in rows if row["converged"]]
     scale = optimum.statistics.scale if method == "parametric" else 1.0
+    names = [run.name for run in fitted.runs]
     sources = _sources(optimum) if method == "block" else []
     return Bootstrap(
         method=method,
@@ -475,10 +463,7 @@ def bootstrap(
         failures=failures,
         at_bounds=dict(Counter(label for row in back for label in row["bounds"])),
         parameters=_parameters(result, optimum, back, judged=method == "parametric"),
-        block_lengths={
-            run.name: each.length
-            for run, each in zip(optimum.state.setup.runs, sources, strict=False)
-        },
+        block_lengths={n: each.length for n, each in zip(names, sources, strict=False)},
         noise_factor=float(scale) ** 0.5,
         notes=_notes(result, method, whole=whole),
         fitted=end_values(result),
@@ -501,14 +486,9 @@ def _parameters(
             [row["values"][place] for row in back],
             [row["reach"][place] for row in back] if judged else None,
         )
-    for name, estimate in result.derived.items():
-        found[name] = repeated(
-            float(estimate.value),
-            estimate.standard_error,
-            estimate.unit,
-            [row["derived"][name] for row in back],
-            None,
-        )
+    for name, one in result.derived.items():
+        values = [row["derived"][name] for row in back]
+        found[name] = repeated(float(one.value), one.standard_error, one.unit, values, None)
     return found
 
 

@@ -72,10 +72,10 @@ def parted(run: Run, fraction: float) -> tuple[Run, Run]:
         )
     early, late = values.copy(), values.copy()
     early[measured[first:]] = late[measured[:first]] = np.nan
-    return (
-        dataclasses.replace(run, values={**run.values, name: early}),
-        dataclasses.replace(run, values={**run.values, name: late}),
+    fitted, judged = (
+        dataclasses.replace(run, values={**run.values, name: part}) for part in (early, late)
     )
+    return fitted, judged
 
 
 @dataclasses.dataclass(frozen=True)
@@ -321,9 +321,7 @@ def _candidate(name: str, fitted: Sequence[Run], judged: Sequence[Run]) -> Candi
 
 
 def _residuals(result: FitResult, runs: Sequence[Run]) -> np.ndarray:
-    parts = []
-    for run in runs:
-        predicted = result.predict(run)
-        parts += [values - predicted[name] for name, values in run.observations.items()]
+    pairs = [(run.observations, result.predict(run)) for run in runs]
+    parts = [recorded[n] - predicted[n] for recorded, predicted in pairs for n in recorded]
     together = np.concatenate(parts)
     return together[~np.isnan(together)]

@@ -1,6 +1,7 @@
 """What each run, marker, channel and span of time does to each parameter of a fit."""
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Unpack
 
@@ -116,9 +117,9 @@ class Part:
         """Which samples of a channel of a run are left out; None where none is."""
         if index not in self.runs or (self.channels is not None and name not in self.channels):
             return None
-        first, last = self.rows or (0, samples)
-        places = np.arange(samples)
-        return (places >= first) & (places < last)
+        gone = np.zeros(samples, bool)
+        gone[slice(*(self.rows or (None,)))] = True
+        return gone
 
 
 def parts_of(runs: Sequence[Run], spans: int) -> list[Part]:
@@ -148,15 +149,13 @@ def _spans(index: int, run: Run, count: int) -> list[Part]:
     edges = np.linspace(over[0], over[-1], count + 1)
     places = [0, *np.searchsorted(over, edges[1:-1]).tolist(), samples]
     unit = "" if run.times is None else " s"
+    names = [
+        f"{run.name}, {low:.4g} to {high:.4g}{unit}" for low, high in itertools.pairwise(edges)
+    ]
     return [
-        Part(
-            "span",
-            f"{run.name}, {edges[i]:.4g} to {edges[i + 1]:.4g}{unit}",
-            (index,),
-            rows=(places[i], places[i + 1]),
-        )
-        for i in range(count if count > 1 else 0)
-        if places[i] < places[i + 1]
+        Part("span", name, (index,), rows=rows)
+        for name, rows in zip(names, itertools.pairwise(places), strict=True)
+        if count > 1 and rows[0] < rows[1]
     ]
 
 
@@ -181,15 +180,13 @@ def left_out(fitted: Fitted, parts: Sequence[Part]) -> list[dict[str, Any]]:
 
 def without(optimum: Optimum, part: Part) -> Recorded:
     """What the runs recorded, without a part of it."""
-    return [
-        {
-            name: row
-            if (gone := part.of(index, name, len(row))) is None
-            else np.where(gone, np.nan, row)
-            for name, row in run.observations.items()
-        }
-        for index, run in enumerate(optimum.state.setup.runs)
-    ]
+    left: list[dict[str, np.ndarray]] = []
+    for index, run in enumerate(optimum.state.setup.runs):
+        left.append(dict(run.observations))
+        for name, row in run.observations.items():
+            if (gone := part.of(index, name, len(row))) is not None:
+                left[-1][name] = np.where(gone, np.nan, row)
+    return left
 
 
 # Fits of a task, which share a program.
@@ -284,19 +281,17 @@ def _steps(optimum: Optimum, parts: Sequence[Part]) -> list[LeftOut]:
                 left.append(equations.said(*key, ~gone))
         step, wider = equations.whole(left).step()
         own = _own(optimum, part)
-        shifts: dict[str, float | None] = {}
-        widening: dict[str, float | None] = {}
-        for place in known.determined:
-            label, error = known.labels[place], known.standard_errors[place]
-            if place in own:
-                continue
-            if place not in equations.positions:  # At its bound, where it is held.
-                shifts[label], widening[label] = 0.0, 1.0
-                continue
-            at = equations.positions.index(place)
-            # What the fit has left to go is no part's.
-            shifts[label] = finite_or_none((step[at] - offset[at]) / error)
-            widening[label] = finite_or_none(wider[at] / errors[at])
+        # What is at its bound is held there.
+        shifts: dict[str, float | None] = {
+            known.labels[i]: 0.0 for i in known.determined if i not in own
+        }
+        widening: dict[str, float | None] = dict.fromkeys(shifts, 1.0)
+        for at, place in enumerate(equations.positions):
+            if place in known.determined and place not in own:
+                # What the fit has left to go is no part's.
+                off = (step[at] - offset[at]) / known.standard_errors[place]
+                shifts[known.labels[place]] = finite_or_none(off)
+                widening[known.labels[place]] = finite_or_none(wider[at] / errors[at])
         steps.append(LeftOut(part.kind, part.name, cells, shifts, widening))
     return steps
 
@@ -305,14 +300,14 @@ def _with_fit(step: LeftOut, optimum: Optimum, row: Mapping[str, Any]) -> LeftOu
     """With what a fit without the part says."""
     if not row["converged"]:
         return dataclasses.replace(step, reason=row["reason"])
-    known, values, errors = optimum.statistics, row["values"], row["errors"]
+    known, values = optimum.statistics, row["values"]
     shifts: dict[str, float | None] = dict.fromkeys(step.steps)
-    widening: dict[str, float | None] = dict.fromkeys(step.steps)
+    widening = shifts.copy()
     for label in step.steps.keys() & values.keys():
         place = known.labels.index(label)
         error = known.standard_errors[place]
         shifts[label] = (values[label] - float(known.values[place])) / error
-        widening[label] = errors[label] / error
+        widening[label] = row["errors"][label] / error
     return dataclasses.replace(step, exact=shifts, exact_widening=widening)
 
 

@@ -4,7 +4,7 @@ import contextlib
 import contextvars
 import dataclasses
 import importlib.util
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from ..runtime.programs import program
 from ..runtime.signals import is_stopped
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
-from ._posterior_records import Band, Posterior, PosteriorSummary, bands, doubts, marginal
+from ._posterior_records import Posterior, PosteriorSummary, bands, doubts, marginal
 from ._refit import Fitted
 
 # Transitions of a call of the program: between calls Ctrl-C is noticed, and progress reported.
@@ -236,7 +236,10 @@ def posterior(
         scale=float(density.scale),
         cost=result.cost,
         held=tuple(label for label in optimum.labels if label not in marginals),
-        within=_within(fitted.runs, each),
+        within={
+            run: {name: band.within for name, band in by_channel.items()}
+            for run, by_channel in zip(unique_names(fitted.runs), each, strict=True)
+        },
         warnings=tuple(doubts(marginals, divergences, samples, failed, chains)),
     )
     return Posterior(summary=summary, samples=samples, bands=each, **parts)
@@ -283,12 +286,3 @@ def _begun(density: Density, fitted: Fitted, number: int, seed: int) -> Begun:
             break
         z = z / 2
     return Begun(density, z, energy, gradient, fitted.task_key)
-
-
-def _within(
-    runs: Sequence[Run], each: Sequence[Mapping[str, Band]]
-) -> dict[str, dict[str, float | None]]:
-    return {
-        run: {name: band.within for name, band in by_channel.items()}
-        for run, by_channel in zip(unique_names(runs), each, strict=True)
-    }

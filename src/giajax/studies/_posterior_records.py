@@ -47,7 +47,8 @@ class Mixing(NamedTuple):
 
 def mixing(draws: Draws) -> Mixing:
     """How well the chains of one parameter have mixed."""
-    halves = _halves(draws)
+    half = draws.shape[1] // 2
+    halves = np.concatenate([draws[:, :half], draws[:, draws.shape[1] - half :]])
     if halves.shape[1] < _LEAST or np.all(halves == halves[0, 0]):
         return Mixing(np.nan, np.nan, np.nan)
     folded = np.abs(halves - np.median(halves))
@@ -58,11 +59,6 @@ def mixing(draws: Draws) -> Mixing:
         ess_bulk=effective_size(_normal_scores(halves)),
         ess_tail=min(tails),
     )
-
-
-def _halves(draws: Draws) -> Draws:
-    half = draws.shape[1] // 2
-    return np.concatenate([draws[:, :half], draws[:, draws.shape[1] - half :]])
 
 
 def _normal_scores(draws: Draws) -> Draws:

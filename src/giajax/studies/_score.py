@@ -7,7 +7,7 @@ z_perp = z - J (J^+ z) is what the fitted parameters cannot imitate. A step of
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -337,77 +337,61 @@ def white_noise(
     return deviations
 
 
-def robust_weights(result: FitResult, runs: Sequence[Run], at: Sequence[Response]) -> list[Array]:
-    """Roots of the weights that the loss gives the residuals, each (sample, channel)."""
+def cell_factors(result: FitResult, runs: Sequence[Run], at: Sequence[Response]) -> list[Array]:
+    """How the cells of each run count, (sample, channel): by 0 where nothing was measured.
+
+    By one over the white noise of each channel, times the root of the weight of the loss.
+    """
     loss = result.config.get("loss", "linear")
-    weights = []
-    for response, noise in zip(at, fitted_noise(result, runs), strict=True):
-        sigma = np.asarray([noise[name] for name in response.channels])
-        rest = np.nan_to_num((response.predicted - response.observed) / sigma)
+    factors = []
+    several = zip(at, white_noise(result, runs, at), fitted_noise(result, runs), strict=True)
+    for response, *deviations in several:
+        white, fitted = (np.asarray([of[n] for n in response.channels]) for of in deviations)
+        rest = np.nan_to_num((response.predicted - response.observed) / fitted)
         psi, _, _ = scores(loss, rest)
-        weights.append(np.sqrt(np.where(rest == 0, 1.0, psi / np.where(rest == 0, 1.0, rest))))
-    return weights
+        weight = np.sqrt(np.where(rest == 0, 1.0, psi / np.where(rest == 0, 1.0, rest)))
+        factors.append(np.where(np.isnan(response.observed), 0.0, weight / white))
+    return factors
 
 
-@dataclasses.dataclass(frozen=True)
-class Weighing:
-    """How the cells of each run count: each (sample, channel), by 0 where nothing was measured."""
+def weighted_rest(response: Response, predicted: Array, factor: Array) -> Array:
+    """Predictions less what was observed, weighted; 0 where nothing was."""
+    rest = np.where(factor > 0, predicted - np.nan_to_num(response.observed), 0.0)
+    return np.asarray(rest * factor)
 
-    factors: list[Array]
 
-    @classmethod
-    def of(
-        cls, at: Sequence[Response], noise: Sequence[Mapping[str, float]], weights: Sequence[Array]
-    ) -> "Weighing":
-        """One over the noise of each channel, times the root of the weight of the loss."""
-        factors = []
-        for response, deviations, weight in zip(at, noise, weights, strict=True):
-            sigma = np.asarray([deviations[name] for name in response.channels])
-            factors.append(np.where(np.isnan(response.observed), 0.0, weight / sigma))
-        return cls(factors)
+def tables(
+    at: Sequence[Response],
+    runs: Sequence[Run],
+    factors: Sequence[Array],
+    coordinates: Coordinates,
+    switches: Sequence[Sequence[Array]],
+) -> list[Table]:
+    """Weighted residuals and columns of each run, those of the fitted parameters first.
 
-    def chi_square(self, at: Sequence[Response], predicted: Sequence[Array]) -> float:
-        """Sum of weighted squares of predictions less what was observed."""
-        total = 0.0
-        for response, table, factor in zip(at, predicted, self.factors, strict=True):
-            rest = np.where(factor > 0, table - np.nan_to_num(response.observed), 0.0)
-            total += float(np.sum((rest * factor) ** 2))
-        return total
-
-    def tables(
-        self,
-        at: Sequence[Response],
-        runs: Sequence[Run],
-        coordinates: Coordinates,
-        switches: Sequence[Sequence[Array]] = (),
-    ) -> list[Table]:
-        """Weighted residuals and columns of each run, those of the fitted parameters first.
-
-        The changes of the predictions of each run that switches make are tested after the others.
-        """
-        tables = []
-        count = len(coordinates.places[0])
-        for index, (response, run, factor) in enumerate(zip(at, runs, self.factors, strict=True)):
-            rest = np.where(factor > 0, response.predicted - np.nan_to_num(response.observed), 0.0)
-            changes = np.stack(
-                [response.columns[..., i] for i in range(count, response.columns.shape[2])]
-                + [changed[index] for changed in switches],
-                axis=-1,
+    The changes of the predictions of each run that switches make are tested after the others.
+    """
+    weighted = []
+    count = len(coordinates.places[0])
+    for index, (response, run, factor) in enumerate(zip(at, runs, factors, strict=True)):
+        changes = [
+            *np.moveaxis(response.columns[..., count:], -1, 0),
+            *(s[index] for s in switches),
+        ]
+        each = factor[..., None]
+        fitted, own = coordinates.split(index, response.columns[..., :count], response.own)
+        weighted.append(
+            Table(
+                residual=weighted_rest(response, response.predicted, factor),
+                measured=~np.isnan(response.observed),
+                fitted=fitted * each,
+                own=own * each,
+                asked=np.stack(changes, axis=-1) * each,
+                timed=run.times is not None,
+                known=coordinates.known_of_runs[index],
             )
-            each = factor[..., None]
-            fitted, own = coordinates.split(index, response.columns[..., :count], response.own)
-            tables.append(
-                Table(
-                    residual=rest * factor,
-                    measured=~np.isnan(response.observed),
-                    fitted=fitted * each,
-                    own=own * each,
-                    asked=changes * each,
-                    timed=run.times is not None,
-                    known=coordinates.known_of_runs[index],
-                )
-            )
-        return tables
+        )
+    return weighted
 
 
 # A column of which the fit can imitate all but this is not testable: only a ratio shows.

@@ -29,14 +29,14 @@ from ._score import (
     Coordinates,
     Projected,
     Score,
-    Weighing,
     alike,
+    cell_factors,
     models_of_runs,
     projected,
     responses_of,
-    robust_weights,
     score,
-    white_noise,
+    tables,
+    weighted_rest,
 )
 
 LEVEL = 0.05
@@ -161,10 +161,9 @@ def distinct_axes(runs: Sequence[Run]) -> list[Axes]:
 
 def coordinates(model: AbstractModel, run: Run) -> dict[str, np.ndarray]:
     """Predictions (SI) of what a run records, with all three coordinates of each point."""
-    names = list(run.observations)
-    points = {point_of(run.channels[name]): None for name in names}
+    points = [point_of(run.channels[name]) for name in run.observations]
     whole = [f"{point}_{axis}" for point in points if point for axis in _AXES]
-    return predict(model, run, list(dict.fromkeys([*names, *whole])))
+    return predict(model, run, list(dict.fromkeys([*run.observations, *whole])))
 
 
 def seen_as(
@@ -177,8 +176,7 @@ def seen_as(
 
 def _source(way: Axes, channel: Channel) -> tuple[str, int] | None:
     """The coordinate of the model that a recorded one is, and its sign; None for no position."""
-    point = point_of(channel)
-    if point is None or channel.component is None:
+    if channel.component is None or (point := point_of(channel)) is None:
         return None
     other, sign = way[channel.component]
     return f"{point}_{_AXES[other]}", sign
@@ -187,29 +185,24 @@ def _source(way: Axes, channel: Channel) -> tuple[str, int] | None:
 def turned_back(run: Run, way: Axes) -> Run:
     """The run as it would be with the axes of the model."""
     values, channels = dict(run.values), dict(run.channels)
-    moved: dict[str, tuple[np.ndarray, Channel]] = {}
+    moved: dict[str, np.ndarray] = {}
+    named: dict[str, Channel] = {}
     for name in run.observations:
         if (source := _source(way, run.channels[name])) is not None:
             new, sign = source
-            moved[new] = sign * values.pop(name), Channel.named(new, channels.pop(name).unit)
-    observed = (
-        None
-        if run.observed is None
-        else tuple(name for name in (*moved, *run.observed) if name in moved or name in values)
-    )
-    return dataclasses.replace(
-        run,
-        values={**values, **{name: value for name, (value, _) in moved.items()}},
-        channels={**channels, **{name: channel for name, (_, channel) in moved.items()}},
-        observed=observed,
-    )
+            moved[new] = sign * values.pop(name)
+            named[new] = Channel.named(new, channels.pop(name).unit)
+    values, observed = {**values, **moved}, run.observed
+    if observed is not None:
+        observed = tuple(name for name in (*moved, *observed) if name in values)
+    return dataclasses.replace(run, values=values, channels=channels | named, observed=observed)
 
 
 def axes_row(
     result: FitResult,
     runs: Sequence[Run],
     at: Sequence[Response],
-    weighing: Weighing,
+    factors: Sequence[np.ndarray],
     chi_square: float,
     rest: Projected,
 ) -> tuple[list[Suspect], int]:
@@ -231,7 +224,7 @@ def axes_row(
                 seen_as(way, run, predicted, response.channels)
                 for run, predicted, response in zip(runs, whole, at, strict=True)
             ]
-            other = weighing.chi_square(at, seen)
+            other = _chi_square(at, seen, factors)
             if way != IDENTITY and (best is None or other < best[0]) and np.isfinite(other):
                 best = other, way, number > 0
     if best is None:
@@ -270,11 +263,8 @@ def parameter_rows(rest: Projected, asked: Inquiry) -> list[Suspect]:
             members.setdefault(one.path, []).append(index)
             if one.group:
                 members.setdefault(one.group, []).append(index)
-    members = {
-        path: several
-        for path, several in members.items()
-        if len(several) > 1 or candidates[several[0]].path == path
-    }
+    # Of a group of one element, that element has a row.
+    members = {p: of for p, of in members.items() if len(of) > 1 or candidates[of[0]].path == p}
     rows = [
         _untestable(one.path, one.kind, note, one.unit, one.value)
         for one, note in zip(candidates, notes, strict=True)
@@ -404,31 +394,16 @@ def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str
     if is_disturbed(result, runs, at):
         asked = inquiry(*of_this_fit, not_neutral(result, runs))
         at = linearised(result, runs, asked)
-    return tested(result, runs, asked, at)
-
-
-def linearised(result: FitResult, runs: Sequence[Run], asked: Inquiry) -> list[Response]:
-    """The responses of each run where the fit ended, those to the fitted parameters first."""
-    directions = [*asked.free, *(candidate.direction for candidate in asked.candidates)]
-    return responses_of(result, runs, asked.model, directions)
-
-
-def tested(
-    result: FitResult, runs: Sequence[Run], asked: Inquiry, at: Sequence[Response]
-) -> Suspects:
-    """The tests from the responses where a fit ended."""
-    weights = robust_weights(result, runs, at)
-    weighing = Weighing.of(at, white_noise(result, runs, at), weights)
+    factors = cell_factors(result, runs, at)
     switches = _switches(result, asked, runs)
     of_fit = Coordinates.of(result)
-    tables = weighing.tables(at, runs, of_fit, list(switches.values()))
-    rest = projected(tables, of_fit.known)
-    cells = weighing.chi_square(at, [response.predicted for response in at])
+    rest = projected(tables(at, runs, factors, of_fit, list(switches.values())), of_fit.known)
+    cells = _chi_square(at, [response.predicted for response in at], factors)
     chi_square = cells + of_fit.squares
     rows = parameter_rows(rest, asked)
     first = len(asked.candidates)
     rows += [switch_row(rest, first + i, name) for i, name in enumerate(switches)]
-    axes, ways = axes_row(result, runs, at, weighing, cells, rest)
+    axes, ways = axes_row(result, runs, at, factors, cells, rest)
     rows += axes
     rows += [_untestable(path, "parameter", why) for path, why in asked.impossible.items()]
     rows, number = _corrected(rows, further=max(ways - 1, 0))
@@ -447,6 +422,20 @@ def tested(
         parameters=rest.parameters,
         asked=number,
     )
+
+
+def _chi_square(
+    at: Sequence[Response], predicted: Sequence[np.ndarray], factors: Sequence[np.ndarray]
+) -> float:
+    """Sum of weighted squares of predictions less what was observed."""
+    rests = map(weighted_rest, at, predicted, factors)
+    return sum((float(np.sum(rest**2)) for rest in rests), 0.0)
+
+
+def linearised(result: FitResult, runs: Sequence[Run], asked: Inquiry) -> list[Response]:
+    """The responses of each run where the fit ended, those to the fitted parameters first."""
+    directions = [*asked.free, *(candidate.direction for candidate in asked.candidates)]
+    return responses_of(result, runs, asked.model, directions)
 
 
 def _switches(
