@@ -1,5 +1,7 @@
 """Sensitivities along a run, and what they promise to a fit."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from giajax.studies import expected_errors, sensitivity
 TIMES = np.linspace(0.0, 4.0, 41)
 COMMAND = {"joint01_command": np.interp(TIMES, [0.5, 1.5], [0.0, 0.5])}
 FREE = ["air.drag_coefficient", "joints.pitch_stiffness"]
+ALL = [*FREE, "joints.yaw_stiffness", "joints.damping", "camera.origin", "links.mass[1]"]
 RUN = giajax.planned(TIMES, COMMAND, links=3)
 
 
@@ -20,8 +23,25 @@ def model():
 
 
 @pytest.fixture(scope="module")
-def found():
-    return sensitivity(model(), RUN, FREE)
+def everything():
+    """One program for all parameters."""
+    return sensitivity(model(), RUN, ALL)
+
+
+def part(whole, rows):
+    """Of some parameters alone."""
+    return dataclasses.replace(
+        whole,
+        parameters=whole.parameters[rows],
+        units=whole.units[rows],
+        values=whole.values[rows],
+        derivatives=whole.derivatives[rows],
+    )
+
+
+@pytest.fixture(scope="module")
+def found(everything):
+    return part(everything, slice(0, 2))
 
 
 def test_derivatives_are_those_of_differences(found):
@@ -83,26 +103,28 @@ def test_noise_by_channel(found):
 
 
 @pytest.mark.slow
-def test_what_no_channel_tells_has_an_infinite_error():
+def test_what_no_channel_tells_has_an_infinite_error(everything):
     both = np.array([[4.0, 4.0, 0.0], [4.0, 4.0, 0.0], [0.0, 0.0, 25.0]])
     np.testing.assert_allclose(expected_errors(both), [np.inf, np.inf, 0.2])
-    planar = sensitivity(model(), RUN, ["joints.yaw_stiffness", "joints.damping"])
+    planar = part(everything, slice(2, 4))
     errors = planar.standard_errors(0.01)
     assert np.isinf(errors[0])
     assert np.isfinite(errors[1])
 
 
 @pytest.mark.slow
-def test_arrays_are_taken_element_by_element_and_options_are_switched_on():
-    some = sensitivity(model(), RUN, ["camera.origin", "links.mass[1]"], ["link03_z"])
+def test_arrays_are_taken_element_by_element_and_options_are_switched_on(everything):
+    some = part(everything, slice(4, None))
     assert some.parameters == (*(f"camera.origin[{i}]" for i in range(3)), "links.mass[1]")
-    np.testing.assert_allclose(some.derivatives[:3, :, 0], [[0.0] * 41, [0.0] * 41, [-1.0] * 41])
+    height = some.channels.index("link03_z")
+    expected = [[0.0] * 41, [0.0] * 41, [-1.0] * 41]
+    np.testing.assert_allclose(some.derivatives[:3, :, height], expected, atol=1e-15)
     assert some.units == ("m", "m", "m", "kg")
 
 
 def test_without_air_there_is_no_drag_to_feel():
     still = giajax.replace(model(), {"air.density": 0.0})
-    assert np.all(sensitivity(still, RUN, FREE).derivatives[0] == 0)
+    assert np.all(sensitivity(still, RUN, ALL).derivatives[0] == 0)
 
 
 def test_what_makes_no_sense_is_one_sentence():

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from giajax import FitTask, InputError, Run, fit, read_runs, write_result
+from giajax import FitTask, InputError, Run, fit, read_run, read_runs, write_result
 from giajax.fitting import WarmStart, load_result, set_up, solve
 from giajax.tasks import JOURNAL, compared, read_journal, stored_result, version_note
-from small_arm import START, TRUTH, make_run, small_run
+from small_arm import START, TRUTH, make_run
 from small_loops import write_task
 from toy_model import Decay, run
 
@@ -322,7 +322,8 @@ def test_a_fit_from_an_end_is_sooner_there():
 @pytest.mark.slow
 def test_initial_states_of_runs_are_begun_from_by_name(tmp_path):
     """Windows of a run, each with its own start, in another order and beside a new one."""
-    make_run(tmp_path, channels=("link02_y", "link02_z", "link04_y", "link04_z"))
+    channels = ("link02_y", "link02_z", "link04_y", "link04_z")
+    make_run(tmp_path, channels=channels)
     task = FitTask.of(tmp_path / "run.csv").on_top(start=START)
     whole = task.definition.contents()
     whole["initial"] = {"free": True}
@@ -339,8 +340,11 @@ def test_initial_states_of_runs_are_begun_from_by_name(tmp_path):
     for path in TRUTH:
         before, after = first.parameters[path], second.parameters[path]
         assert abs(after.value - before.value) < 0.1 * before.standard_error
-    other = small_run(tmp_path, "other", seed=3)
+    path = make_run(tmp_path, "other", seed=3, channels=channels)
+    other = read_run(path, definition=task.definition)
     fresh = set_up(setup.model, [other], begin=WarmStart(**again.begin))
+    # Its state is its own, where that of the other run is not known for it.
+    assert "other" not in fresh.own
     assert solve(fresh, check=False, max_iterations=1).cost is not None
 
 
