@@ -316,7 +316,7 @@ def test_starts_that_have_ended_are_not_run_again(tmp_path, monkeypatch):
 
 def test_from_any_line_of_starts_side_by_side_to_the_same_end(tmp_path, monkeypatch):
     """Their lines stand between each other's."""
-    setup = set_up(Decay(), run(), start=START, starts=4, seed=1)
+    setup = set_up(Decay(), run(), start=START, starts=3, seed=1)
 
     def several(cores):
         monkeypatch.setenv("GIAJAX_CORES", cores)

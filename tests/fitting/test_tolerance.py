@@ -1,6 +1,7 @@
 """A fit chooses the tolerance of the integrator: by what it moves, and where the cost is rough."""
 
 import dataclasses
+import functools
 import json
 
 import equinox as eqx
@@ -61,6 +62,7 @@ class Approximate(Decay):
         return {name: value + jumps for name, value in values.items()}, successful
 
 
+@functools.cache
 def exact():
     """The fit without any error."""
     return fit(Decay(), run(), start=BEGIN)
