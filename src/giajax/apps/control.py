@@ -18,11 +18,8 @@ from ..recordings import Channel, Run
 from ..runtime.text import InputError
 from ..schema.parameters import get
 
-# A third of the range: short against the range, long against the noise.
-_TRAVEL = 1 / 3
-
-# An excess over the reachable range that is rounding of a file.
-_ROUNDING = 1e-6
+_TRAVEL = 1 / 3  # a third of the range: short against the range, long against the noise
+_ROUNDING = 1e-6  # an excess over the reachable range that is rounding of a file
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

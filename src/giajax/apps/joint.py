@@ -279,10 +279,7 @@ def equilibria_table(
 def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg: float) -> Figure:
     """Where a pair rests: every equilibrium against the target angle, and the torque of one.
 
-    Arguments:
-        pair: joint and muscles.
-        table: of `equilibria_table`.
-        example_deg: target angle whose two pressures are drawn, deg.
+    The table is of `equilibria_table`; the example is a target angle, whose pressures are drawn.
     """
     figure = new_figure(11, 4.2, "Two pressures hold a joint at more than one angle")
     left, right = figure.subplots(1, 2)

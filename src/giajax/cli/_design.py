@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from ..models import ArmModel
     from ..recordings import FitSettings
 
-# Of a file, beside the arm.
-_KEPT = ("initial", "wind", "noise")
+_KEPT = ("initial", "wind", "noise")  # of a file, beside the arm
 
 
 def source_of(

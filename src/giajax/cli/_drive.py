@@ -1,7 +1,6 @@
 """`giajax drive`: the operator's page, or what a pad did, without one."""
 
 import itertools
-import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +13,7 @@ from ..runtime.text import InputError
 from ._commands import Texts, argument, command
 from ._model import is_result
 from ._options import Browser, ForceRun, Host, Links, Port, origin, say_served
-from ._simulate import channel_names, definition_from_options, gusts_of
+from ._simulate import channel_names, definition_from_options, gusts_of, write_and_say
 from ._values import noise_section, settings, with_settings
 
 if TYPE_CHECKING:
@@ -33,12 +32,11 @@ def driven_arm(
     what: Path | None, links: int | None, wind: str | None
 ) -> "tuple[Definition, ArmModel]":
     """What a file and the options say, and the arm: of a fit, or of a file."""
-    from ..models import ArmModel, arm_from_definition, sensors_from_definition
+    from ..models import ArmModel
 
     if what is None or not is_result(what):
         definition = definition_from_options(what, links, wind)
-        arm, sensors = arm_from_definition(definition), sensors_from_definition(definition)
-        return definition, ArmModel(arm, sensors=sensors)
+        return definition, ArmModel.stated_in(definition)
     if links is not None:
         raise InputError("--links is of an arm from a file, and this one was fitted: leave it out")
     from ..fitting import load_result
@@ -111,19 +109,12 @@ def save(session: "Session", out: Path, channels: list[str], *, force: bool, **h
 
     `how` is as of `giajax.apps.driving.Record.run`.
     """
-    from ..recordings import sidecar_path, write_run
-
-    record = session.record
     try:
-        run = record.run(channels, name=out.stem, **how)
+        run = session.record.run(channels, name=out.stem, **how)
     except InputError as error:
         typer.echo(f"giajax: {error}", err=True)
         return
-    write_run(out, run.times, run.values, definition=run.definition, digits=12, force=force)
-    typer.echo(
-        f"wrote {out} and {sidecar_path(out)}: {session.time:.1f} s driven, {len(record)} rows, "
-        f"{len(run.observations)} channels; see: giajax check {shlex.quote(str(out))}"
-    )
+    write_and_say(out, run, 12, force, f"{session.time:.1f} s driven, ")
     if session.lost:
         typer.echo(f"the simulation was {session.lost:.1f} s behind the clock, which were left out")
 

@@ -20,21 +20,13 @@ if TYPE_CHECKING:
 
 _NUMBERS = ("start", "fix", "uncertainty")
 _READERS: dict[str, Callable[[list[str]], Any]] = {
-    **{
-        name: partial(plain_settings, option=f"--{name}")
-        for name in ("start", "fix", "uncertainty")
-    },
+    **{name: partial(plain_settings, option=f"--{name}") for name in _NUMBERS},
     **{"prior": priors, "bounds": bounds, "tie": ties, "group": groups},
 }
 """What reads the words of an option, where they are not the value itself."""
 
-_SETTINGS = {
-    "prior": "priors",
-    "tie": "ties",
-    "group": "groups",
-    "window": "window_s",
-    "windows_first": "windows_first_s",
-}
+_SETTINGS = {"prior": "priors", "tie": "ties", "group": "groups"}
+_SETTINGS |= {"window": "window_s", "windows_first": "windows_first_s"}
 """Names of settings whose option is called otherwise."""
 
 

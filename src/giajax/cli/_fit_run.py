@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 _WORTH_A_WORD_S = 30.0
 _BETWEEN_WORDS_S = 60.0
 
-# Steps that must have been timed: the first one compiles.
-_LEAST = 2
+_LEAST = 2  # steps that must have been timed: the first one compiles
 
 
 @dataclasses.dataclass
@@ -110,17 +109,16 @@ class Progress:
     def __init__(self, factors: Mapping[str, float], left: TimeLeft | None = None) -> None:
         self._factors = factors
         self._left = left
+        self._widths: list[int] = []
         _say("compiling ...")
-        self._headed = False
 
     def __call__(self, iteration: "Iteration") -> None:
         values = [
             f"{value * self._factors.get(path.partition('[')[0], 1.0):.5g}"
             for path, value in iteration.parameters.items()
         ]
-        if not self._headed:
+        if not self._widths:
             self._head(list(iteration.parameters))
-            self._headed = True
         step, taken = f"{iteration.step:.1e}", "yes" if iteration.accepted else "no"
         made = ["", ""] if iteration.number == 0 else [step, taken]
         self._row([str(iteration.number), f"{iteration.cost:.6g}", *made, *values])
@@ -220,8 +218,7 @@ def show_diagnosis(result: "FitResult") -> None:
 
 _STATUS = {"converged": 0, "not_converged": 1}
 
-# With --strict, of a fit whose model does not describe the data.
-_INADEQUATE = 3
+_INADEQUATE = 3  # with --strict, of a fit whose model does not describe the data
 
 
 def finished(folder: Path, as_json: bool, quiet: bool) -> int | None:

@@ -49,8 +49,7 @@ def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
     return model_for(runs) if path is None or not is_result(path) else load_result(path).model
 
 
-# An array of more elements is shown by its range.
-_FEW = 3
+_FEW = 3  # an array of more elements is shown by its range
 
 
 @command("""\b
@@ -90,21 +89,10 @@ def parameters(
     definition = definition.merged_with(Definition.parse({"arm": section}, "the command line"))
     configure()
     from ..fitting import units_in_si
-    from ..models import (
-        AbstractModel,
-        ArmModel,
-        arm_from_definition,
-        model_for,
-        sensors_from_definition,
-    )
+    from ..models import ArmModel, model_for
     from ..schema.parameters import declared, left_out
 
-    model: AbstractModel
-    if recorded is not None:
-        model = model_for([recorded])
-    else:
-        sensors = sensors_from_definition(definition)
-        model = ArmModel(arm_from_definition(definition), sensors=sensors)
+    model = ArmModel.stated_in(definition) if recorded is None else model_for([recorded])
     known = [*declared(model).values(), *left_out(model).values()]
     units = units_in_si(model)
     facts = [_facts(parameter, units[parameter.path], model) for parameter in known]
@@ -232,19 +220,9 @@ def predict(
     ours = model_of(model, runs)
     other = None if against is None else model_of(against, runs_for(against))
     headings = ["run", "channel", "unit", "values", "RMSE", "largest", "RMSE of the other", "ratio"]
-    rows: list[list[Any]] = [
-        [
-            one.run,
-            one.channel,
-            one.unit,
-            one.n,
-            one.rmse,
-            one.largest,
-            one.reference_rmse,
-            one.ratio,
-        ]
-        for one in compare(ours, runs, other, refit_initial=refit_initial)
-    ]
+    keys = ("run", "channel", "unit", "n", "rmse", "largest", "reference_rmse", "ratio")
+    compared = compare(ours, runs, other, refit_initial=refit_initial)
+    rows = [[getattr(one, key) for key in keys] for one in compared]
     if against is None:
         headings, rows = headings[:-2], [row[:-2] for row in rows]
     print_table(headings, rows, left=3)

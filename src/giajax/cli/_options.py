@@ -154,8 +154,7 @@ Scheduler = Annotated[
     str | None, "ADDRESS", "Compute on a cluster of dask.distributed: tcp://host:8786."
 ]
 
-STARTS = "starts"
-"""Folder of a file for each start of a fit that workers do, beside its journal."""
+STARTS = "starts"  # folder of a file for each start of a fit that workers do, beside its journal
 
 # A line so often; for the first tasks, whose programs are compiled, none says how long it takes.
 _BETWEEN_S = 5.0

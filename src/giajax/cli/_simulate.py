@@ -143,9 +143,7 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
 
 # Options of commands that simulate an arm, as definitions and drives.
 
-DURATION = 25.0
-"""Length of a run, s, by default."""
-
+DURATION = 25.0  # length of a run, s, by default
 _START = 0.5
 _RAMP_DURATION = 1.0
 
@@ -242,11 +240,10 @@ def model_and_truth(
     """The model with the parameters of --set, and the truth to state."""
     import jax.numpy as jnp
 
-    from ..models import ArmModel, arm_from_definition, sensors_from_definition
+    from ..models import ArmModel
     from ..schema.parameters import default_free, get
 
-    arm, sensors = arm_from_definition(definition), sensors_from_definition(definition)
-    model = ArmModel(arm, tolerance=jnp.asarray(tolerance), solver=solver, sensors=sensors)
+    model = ArmModel.stated_in(definition, tolerance=jnp.asarray(tolerance), solver=solver)
     model = with_settings(model, values)
     truth = {
         path: float(get(model, path)) for path in default_free(model) if not get(model, path).ndim
@@ -389,17 +386,18 @@ def simulate(
             definition=Definition.parse({**facts, "truth": truth}, "simulate"),
             name=out.stem,
         )
-    _write(out, run, digits, force)
+    write_and_say(out, run, digits, force)
 
 
-def _write(out: Path, run: "Run", digits: int, force: bool) -> None:
+def write_and_say(out: Path, run: "Run", digits: int, force: bool, what: str = "") -> None:
+    """Write a run, and say what is in it, after something else."""
     from ..recordings import sidecar_path, write_run
 
     write_run(out, run.times, run.values, definition=run.definition, digits=digits, force=force)
     rows = len(next(iter(run.values.values())))
     typer.echo(
-        f"wrote {out} and {sidecar_path(out)}: {rows} rows, {len(run.observations)} channels; "
-        f"see: giajax check {shlex.quote(str(out))}"
+        f"wrote {out} and {sidecar_path(out)}: {what}{rows} rows, "
+        f"{len(run.observations)} channels; see: giajax check {shlex.quote(str(out))}"
     )
 
 
@@ -488,4 +486,4 @@ def synth(
         new = recorded_again(
             truth, recorded, errors, channels=channels, seed=seed, truth=paths, name=out.stem
         )
-    _write(out, new, digits, force)
+    write_and_say(out, new, digits, force)

@@ -277,11 +277,13 @@ class ArmModel(AbstractModel):
         """The arm, its sensors and the settings of the integrator that `definition()` gave."""
         sections = {key: definition[key] for key in ("arm", *SECTIONS) if key in definition}
         stored = Definition.parse(sections, "stored result")
-        return cls(
-            arm_from_definition(stored),
-            sensors=sensors_from_definition(stored),
-            **definition["simulation"],
-        )
+        return cls.stated_in(stored, **definition["simulation"])
+
+    @classmethod
+    def stated_in(cls, definition: Definition, **integration: Any) -> Self:
+        """The arm and the sensors that a file states."""
+        arm = arm_from_definition(definition)
+        return cls(arm, sensors=sensors_from_definition(definition), **integration)
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         """The initial state, where the run says `[initial] free = true`."""

@@ -140,7 +140,7 @@ LOWER = 0.01
 
 
 def interval_end(points: Sequence[ProfilePoint], side: int, reach: float) -> float | None:
-    """The upper (side 1) or lower (-1) value where the deviance above its lowest is `reach`^2.
+    """The upper (side 1) or lower (-1) value at which the deviance exceeds its least by reach^2.
 
     Of the root, which is nearly straight, the inverse is interpolated by a monotone cubic
     (Fritsch and Carlson 1980). Points are by value, ascending; None where they do not come to it.

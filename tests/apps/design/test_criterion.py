@@ -195,15 +195,14 @@ def test_a_search_that_is_stopped_has_the_best_so_far():
 
     search = Search(Bowl(), series, stop)
     search.follow(starts_of(series, 4), 1, 50)
-    assert search.interrupted
+    assert search.status == "interrupted"
     assert search.value == min(one.value for one in told) == Bowl()(search.best)[0]
     whole = Search(Bowl(), series)
     whole.follow(starts_of(series, 4), 1, 50)
-    assert not whole.interrupted
-    assert not whole.limited
+    assert whole.status == "converged"
     short = Search(Bowl(), series)
     short.follow(starts_of(series, 4), 1, 1)
-    assert short.limited
+    assert short.status == "iteration limit"
     np.testing.assert_allclose(whole.best, wanted, atol=0.02)
 
     def at_once(evaluation):

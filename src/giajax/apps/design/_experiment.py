@@ -33,8 +33,7 @@ from ._search import (
 
 Informations = Float[np.ndarray, "body draw parameter parameter"]
 
-# Up to so many choices all are looked at.
-_ALL = 3000
+_ALL = 3000  # up to so many choices all are looked at
 
 
 def check_count(count: int, bodies: int) -> None:
@@ -52,9 +51,6 @@ def chosen_markers(
 
     All choices are compared where they are few; else one is added after the other, each the one
     that helps most, and then exchanged as long as that helps (Fedorov).
-
-    Raises:
-        InputError: fewer than 1, or more than there are.
     """
     bodies = len(informations)
     check_count(count, bodies)
@@ -392,11 +388,7 @@ def design_experiment(
         before=asked.before,
         spread=(float(spread.min()), float(spread.max())),
         draws=len(objective.draws),
-        status="interrupted"
-        if search.interrupted
-        else "iteration limit"
-        if search.limited
-        else "converged",
+        status=search.status,
         evaluations=tuple(search.evaluations),
         seconds=time.perf_counter() - began,
     )

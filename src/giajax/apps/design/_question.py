@@ -44,9 +44,6 @@ class Criterion:
 
     The weights are, for "c", those of each parameter in the combination; for "A" and "D" that of
     the parameters of interest is not 0.
-
-    Raises:
-        InputError: no such kind, or no parameter of interest.
     """
 
     kind: str
@@ -204,8 +201,7 @@ _NOISE = 0.01
 _NOISE_PIXEL = 2.0
 _NOISE_ANGLE = math.radians(0.5)
 
-# A tolerance at which derivatives are right to a percent, and quick.
-_TOLERANCE = 1e-6
+_TOLERANCE = 1e-6  # a tolerance at which derivatives are right to a percent, and quick
 
 
 @dataclasses.dataclass(frozen=True)

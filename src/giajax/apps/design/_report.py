@@ -19,8 +19,7 @@ DESIGN_HEADINGS = ("parameter", "value", "design", "base step", "ratio", "fit be
 _STYLES = (("design", BLUE, "-"), ("base step", VERMILLION, "--"))
 _MOST_NAMES = 12
 
-# Bars that differ by more than this are seen on a logarithmic axis only.
-_FAR_APART = 30.0
+_FAR_APART = 30.0  # bars that differ by more than this are seen on a logarithmic axis only
 
 
 def design_rows(found: Design) -> list[tuple[Any, ...]]:

@@ -8,7 +8,7 @@ starts are looked at, and the best few of them followed.
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -100,11 +100,8 @@ class Limits:
 # in which an optimiser for linear constraints stays. `within` is the projection that makes
 # rounding harmless.
 
-# What a decimal number in a file may add to an angle or a rate.
-_ROUNDING = 1e-9
-
-_LEAD = 0.5
-"""When the paper's base step begins, s."""
+_ROUNDING = 1e-9  # what a decimal number in a file may add to an angle or a rate
+_LEAD = 0.5  # when the paper's base step begins, s
 
 Numbers = Float[np.ndarray, " number"]
 
@@ -343,19 +340,12 @@ def _informed(
     return values[None], slopes[None], predicted[None], successful[None]
 
 
-# What a command that cannot be simulated is worse by than the best one, in logarithms.
-_WORSE = 3.0
-
-# How often markers are chosen again for what was found with others.
-_CHOICES = 3
-
-# What SLSQP returns at the iteration limit.
-_LIMIT = 9
-
+_WORSE = 3.0  # what a command that cannot be simulated is worse by than the best one, in logarithms
+_CHOICES = 3  # how often markers are chosen again for what was found with others
+_LIMIT = 9  # what SLSQP returns at the iteration limit
 _SEED = 1
 
-# Change of the logarithm of the error below which a search has ended.
-_TOLERANCE = 1e-3
+_TOLERANCE = 1e-3  # change of the logarithm of the error below which a search has ended
 
 
 class Objective(Protocol):
@@ -393,7 +383,7 @@ class Search:
         progress: hears of each evaluation; may raise KeyboardInterrupt.
         best: numbers of the best command so far; None before the first evaluation.
         markers, value: of that command.
-        limited: whether the descent to the best one ended at the iteration limit.
+        status: "iteration limit" where the descent to the best one ended there.
     """
 
     objective: Objective
@@ -403,8 +393,7 @@ class Search:
     markers: tuple[int, ...] = ()
     value: float = np.inf
     evaluations: list[Evaluation] = dataclasses.field(default_factory=list)
-    interrupted: bool = False
-    limited: bool = False
+    status: Literal["converged", "iteration limit", "interrupted"] = "converged"
     _start: int = 0
 
     def follow(self, starts: Sequence[Numbers], most: int, iterations: int) -> None:
@@ -422,7 +411,7 @@ class Search:
         except KeyboardInterrupt:
             if self.best is None:
                 raise
-            self.interrupted = True
+            self.status = "interrupted"
 
     def _descend(self, numbers: Numbers, iterations: int) -> None:
         # Slow to import, and only needed here.
@@ -447,7 +436,7 @@ class Search:
             )
             numbers = end.x
             if self.value < before:
-                self.limited = end.status == _LIMIT
+                self.status = "iteration limit" if end.status == _LIMIT else "converged"
 
     def _safe(self, numbers: Numbers) -> tuple[float, np.ndarray]:
         value, slope = self._evaluate(numbers)

@@ -85,9 +85,7 @@ _TOLD, _DRAWN = 60.0, 12.0
 # Of intervals that are made up for at once: what an operator sees and does comes between them.
 _AT_ONCE = 2
 
-# Longer than anything that the page says.
-_LONGEST_MESSAGE = 1 << 16
-
+_LONGEST_MESSAGE = 1 << 16  # longer than anything that the page says
 TAKEN_OVER = "another page has taken over"
 
 

@@ -160,9 +160,7 @@ def _places(numbers: list[int], joints: int, who: str, source: str) -> list[int]
     return [number - 1 for number in numbers]
 
 
-# A button counts as pressed from here on.
-_PRESSED = 0.5
-
+_PRESSED = 0.5  # a button counts as pressed from here on
 NOT_YET = "nobody has moved anything yet"
 STOPPED = "stopped by the operator"
 SILENT = "no word from the page: the tab or its connection is gone"
@@ -196,10 +194,8 @@ class Operator:
         Arguments:
             message: `{"type": "pad", "axes": [...], "buttons": [...]}` of a pad that is there,
                 `{"type": "no_pad"}` once it is gone, `{"type": "joint", "joint": 3, "deg": 10}`,
-                `{"type": "preset", "name": ...}`, `{"type": "stop"}`, or `{"type": "alive"}`.
-
-        Raises:
-            InputError: a message that says nothing of this kind.
+                `{"type": "preset", "name": ...}`, `{"type": "stop"}`, or `{"type": "alive"}`;
+                another is refused, and the drive goes on.
         """
         kind = message.get("type")
         if kind == "pad":

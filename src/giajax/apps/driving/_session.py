@@ -51,11 +51,7 @@ class Pose(NamedTuple):
 
 
 class Compensation:
-    """The inverse of one joint's hysteresis, in every joint, one sample after the other.
-
-    Raises:
-        InputError: what is inverted is not from angle to angle.
-    """
+    """The inverse of a joint's hysteresis from angle to angle, in every joint, sample by sample."""
 
     def __init__(self, compensator: Compensator, joints: int) -> None:
         channels = [compensator.input_channel, compensator.output_channel]
@@ -180,9 +176,7 @@ def _seen(model: ArmModel, motion: Trajectory, channels: tuple[str, ...]) -> Cha
 RATE = 30.0
 """Poses a second."""
 
-# Of simulated time that is made up for at once; what is beyond it is lost, and said.
-_BEHIND = 1.0
-
+_BEHIND = 1.0  # of simulated time that is made up for at once; what is beyond it is lost, and said
 _WIND = ("wind_x", "wind_y", "wind_z")
 
 
@@ -261,9 +255,6 @@ class Session:
         """One message of a page at a time of the clock (s): of `Operator.receive`, or a switch.
 
         Switches are `{"type": "gusts", "on": true}` and `{"type": "compensation", "on": true}`.
-
-        Raises:
-            InputError: a message that says nothing of these kinds; the drive goes on.
         """
         kind = message.get("type")
         if kind == "gusts":
@@ -332,8 +323,7 @@ class Session:
 
 # A drive without an operator: what a pad did, from a file.
 
-# Between two rows of a file a page would have said that it is there.
-_ALIVE = 0.2
+_ALIVE = 0.2  # between two rows of a file a page would have said that it is there
 
 
 def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:

@@ -82,11 +82,7 @@ _TABLE = ("history", "compensation", "time_s", "target_deg", "command_deg", "ang
 
 
 def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write the picture, its numbers, the errors, the recording and the fit; the paths of them.
-
-    Raises:
-        InputError: the folder cannot be made, or (without `force`) a file is there.
-    """
+    """Write the picture, its numbers, the errors, the recording and the fit; the paths of them."""
     check_output_folder(folder, ONE_LINK_FILES, force=force)
     make_folder(folder)
     errors = [

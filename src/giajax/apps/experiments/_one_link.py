@@ -26,8 +26,7 @@ _SLOW = 30.0
 _SLOW_SECONDS, _SECONDS = 20.0, 5.0
 
 _OTHER = (0, 45, -35, 30, -20, 50, 10, 40, -10, 20, -50, -5, -30, 15, 0)
-PAPER = (0, 60, -60, 0)
-"""Turns of the paper's history, deg; of the preparatory movement, too."""
+PAPER = (0, 60, -60, 0)  # turns of the paper's history, deg; of the preparatory movement, too
 
 
 @dataclass(frozen=True)
@@ -169,9 +168,7 @@ class SimulatedJoint:
 # Nested and displaced loops: where eq. (12) needs one loop, an operator with memory needs more.
 _NESTED = (0, 50, -50, 40, -40, 30, -30, 20, -20, 10, -10, 0, 50, 20, 45, 10, -45, -15, -40, -5, 0)
 
-# The paper does not say over how much travel xi goes from 0 to 1.
-TRAVEL = np.deg2rad(40.0)
-
+TRAVEL = np.deg2rad(40.0)  # the paper does not say over how much travel xi goes from 0 to 1
 _THRESHOLDS = 12
 _DEAD_ZONES = tuple(float(value) for value in np.deg2rad([0.5, 1, 2, 4, 8, 16, 32, 48]))
 
@@ -242,10 +239,7 @@ def one_link(
 
     Offsets are removed as the paper does: on its own history the one that makes the mean error
     least, for each trial. On the other history the camera has not moved: the offset is that of the
-    recording. Ctrl-C ends it.
-
-    Arguments:
-        travel: of eq. (12), rad.
+    recording. The travel is that of eq. (12), rad. Ctrl-C ends it.
     """
     joint = SimulatedJoint() if joint is None else joint
     say = progress or (lambda text: None)

@@ -347,8 +347,6 @@ def filling_curve(
 
     Arguments:
         filling: arm, gas, ports and supply; all ports are given the same diameter.
-        duration: how long filling takes; that of the paper by default.
-        diameters: of the ports.
 
     Raises:
         InputError: a number that is out of its bounds, or an arm without ports.

@@ -19,7 +19,8 @@ class Case:
     Attributes:
         wind: speed of the air, m/s.
         reached: after so long, s; None: it was not, for the reason.
-        flattening, force: of a link at most, m and N.
+        flattening: of a link at most, m.
+        force: on a link at most, N.
     """
 
     wind: float
@@ -33,11 +34,7 @@ class Case:
 
 @dataclasses.dataclass(frozen=True)
 class Tally:
-    """Missions in air of one speed.
-
-    Attributes:
-        wind: speed of the air, m/s.
-    """
+    """Missions in air (`wind`) of one speed, m/s."""
 
     wind: float
     cases: tuple[Case, ...]

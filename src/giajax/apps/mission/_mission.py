@@ -8,14 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...mechanics.arm import Arm, link_centres, tip_position, touch, touched
-from ...models import (
-    ArmModel,
-    Pinhole,
-    View,
-    arm_from_definition,
-    parameter_values,
-    sensors_from_definition,
-)
+from ...models import ArmModel, Pinhole, View, parameter_values
 from ...recordings import Definition, Run
 from ...runtime.arrays import Array, Bool, Float, Int, Scalar
 from ...runtime.programs import program
@@ -26,8 +19,7 @@ from ...simulation import Moment, Stepper, Trajectory
 from ..synthetic import command_columns, driven_run, gusts, logged_motion
 from ._operator import Opening, Operator, Sight, opening_of
 
-# Between two rows of the gusts, s; the wind is linear between them.
-_WIND_INTERVAL = 1.0
+_WIND_INTERVAL = 1.0  # between two rows of the gusts, s; the wind is linear between them
 
 
 def air(
@@ -199,8 +191,7 @@ def flight(
     return jax.lax.scan(row, now, (wind[1:], error))[1]
 
 
-# Rows whose contacts are computed at once.
-_CHUNK = 64
+_CHUNK = 64  # rows whose contacts are computed at once
 
 
 @dataclasses.dataclass(frozen=True)
@@ -210,7 +201,8 @@ class Touched:
     Attributes:
         links: numbers of the links that touched it.
         duration: of any contact, s.
-        flattening, force: of a link at most, m and N.
+        flattening: of a link at most, m.
+        force: on a link at most, N.
         impulse: of all forces on all links, by their size, N s.
     """
 
@@ -231,7 +223,8 @@ class Outcome:
         reason: why not; empty where it was.
         nearest: distance of the tip from the middle of the opening at the least, m.
         times: of the rows below, s, from 0 until the end of the mission.
-        angles, rates: of the joints, rad and rad/s.
+        angles: of the joints, rad.
+        rates: of the joints, rad/s.
         command: commanded angles, rad.
         wind: velocity of the air at the links, m/s.
         tip, believed: where the tip was, and the operator believed the camera to be, m.
@@ -368,11 +361,10 @@ class Mission:
         section = definition.mission
         if section is None:
             raise InputError(f"{source} has no [mission]: add one (giajax mission --help shows it)")
-        arm, sensors = arm_from_definition(definition), sensors_from_definition(definition)
-        opening = opening_of(arm, section.opening)
-        lenses = {
-            name: lens for name, lens in sensors.camera.pinholes.items() if lens.mount == "tip"
-        }
+        model = ArmModel.stated_in(definition)
+        opening = opening_of(model.arm, section.opening)
+        pinholes = model.sensors.camera.pinholes
+        lenses = {name: lens for name, lens in pinholes.items() if lens.mount == "tip"}
         name = section.camera
         if name is None and len(lenses) != 1:
             many = f"{len(lenses)} cameras" if lenses else "no camera"
@@ -383,15 +375,11 @@ class Mission:
         if name is not None and name not in lenses:
             raise InputError(f"mission.camera = '{name}' is no camera at the tip: correct it")
         camera = next(iter(lenses.values())) if name is None else lenses[name]
-        model = ArmModel(arm, sensors=sensors)
-        return cls(model, section, opening, camera, Operator.from_section(section, arm.count))
+        operator = Operator.from_section(section, model.arm.count)
+        return cls(model, section, opening, camera, operator)
 
     def case(self, seed: int) -> Self:
-        """The mission with another arm: parameters of `[mission.spread]`, drawn.
-
-        Raises:
-            InputError: a parameter that the arm does not have.
-        """
+        """The mission with another arm: parameters of `[mission.spread]`, which it has, drawn."""
         spread = self.section.spread or {}
         values = parameter_values(self.model)
         unknown = next((path for path in spread if path not in values), None)

@@ -56,11 +56,7 @@ class Opening(NamedTuple):
 
 
 def opening_of(arm: Arm, name: str | None = None) -> Opening:
-    """The opening of a wall around an arm, by its name where there are several.
-
-    Raises:
-        InputError: there is no such wall, or several.
-    """
+    """The opening of a wall around an arm, by its name where there are several."""
     obstacles = () if arm.contact is None else arm.contact.obstacles
     walls = {each.name: each for each in obstacles if isinstance(each, WallWithOpening)}
     if not walls:
@@ -245,8 +241,7 @@ def _moved(view: View, change: Float[Array, "9"]) -> View:
 # How far behind the opening it looks: a place that does not pass by while the tip goes in, m.
 _AHEAD = 3.0
 
-# A turn by a radian counts as much as so many metres of the tip.
-_METRES = 2.0
+_METRES = 2.0  # a turn by a radian counts as much as so many metres of the tip
 
 
 class Operator(eqx.Module):

@@ -31,11 +31,8 @@ from ._mission import Mission, Outcome
 
 MISSION_FILES = ("mission.json", "mission.png")
 
-# Larger than a building, m.
-_GROUND = 500.0
-
-# Shapes of the arm in a picture, from the first to the last.
-_SHAPES = 6
+_GROUND = 500.0  # larger than a building, m
+_SHAPES = 6  # shapes of the arm in a picture, from the first to the last
 
 
 def mission_files(mission: Mission, outcome: Outcome) -> dict[str, bytes]:

@@ -43,9 +43,7 @@ from ._contenders import (
     times_of,
 )
 
-# When the base joint begins to bend, s; table 3 begins to compare 9.5 s later.
-STARTS_AT = 0.5
-
+STARTS_AT = 0.5  # when the base joint begins to bend, s; table 3 begins to compare 9.5 s later
 _TOLERANCE = 1e-6
 _MAX_STEPS = 20_000
 
@@ -259,12 +257,8 @@ SHOWN_LINKS = {6: GREEN, 12: BLUE, 20: VERMILLION}
 STEP_DEG, STEP_AT = 30.0, 0.5
 DURATION, RATE = 25.0, 20.0
 
-# When the table looks, s.
-AT = (5, 10, 25)
-
-# Of the integrator: each curve is then right to 1e-7 m.
-TOLERANCE = 1e-8
-
+AT = (5, 10, 25)  # when the table looks, s
+TOLERANCE = 1e-8  # of the integrator: each curve is then right to 1e-7 m
 _FIG05_SOURCES = Sources(
     printed="the model (20 rigid links, springs, eq. (1) at their centres), length, diameter and "
     "mass (table 2), the three links, solid with and dotted without air.",
@@ -428,13 +422,19 @@ def table3(fits: Fits) -> Reproduced:
                 both = predicted[channel][rows], run.values[channel][rows]
                 rates[name][number, place] = concordance(*both)
                 errors[name][number, place] = relative_error(*both)
+    cells = [
+        (run.name, name, link, rates[name][number, place], errors[name][number, place])
+        for name in CONTENDERS
+        for number, run in enumerate(fits.runs)
+        for place, link in enumerate(LINKS)
+    ]
     return Reproduced(
         "Table 3: concordance of models and experiment (a stand-in simulated by MuJoCo)",
         _TABLE3_SOURCES,
         _table3_drawn(rates, errors),
         ("model", "measure, %", *_PLACES),
         _rows(rates, errors),
-        _columns(fits, rates, errors),
+        columns_of(("run", "model", "link", "concordance", "rms_error"), cells),
         {"fits": fits.record()},
     )
 
@@ -459,18 +459,6 @@ def _rows(
             cells = (f"{np.median(of):.0f} ({of.min():.0f} .. {of.max():.0f})" for of in percent)
             rows.append((contender.label, measure, *cells))
     return tuple(rows)
-
-
-def _columns(
-    fits: Fits, rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]
-) -> dict[str, list[object]]:
-    rows = [
-        (run.name, name, link, rates[name][number, place], errors[name][number, place])
-        for name in CONTENDERS
-        for number, run in enumerate(fits.runs)
-        for place, link in enumerate(LINKS)
-    ]
-    return columns_of(("run", "model", "link", "concordance", "rms_error"), rows)
 
 
 def _table3_drawn(rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -> Figure:

@@ -18,8 +18,7 @@ from ...runtime.arrays import Float
 from ...runtime.text import InputError
 from ...schema.parameters import replace
 
-# Letters of the small print that fit on an inch.
-_LETTERS = 18
+_LETTERS = 18  # letters of the small print that fit on an inch
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,11 +72,8 @@ class Reproduced:
         )
 
 
-WINDOW = (10.0, 25.0)
-"""First and last time that table 3 compares, s."""
-
-STEP = 0.1
-"""Between two of those times, s."""
+WINDOW = (10.0, 25.0)  # first and last time that table 3 compares, s
+STEP = 0.1  # between two of those times, s
 
 
 def compared(times: Float[np.ndarray, " sample"]) -> np.ndarray:

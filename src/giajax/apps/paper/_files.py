@@ -14,15 +14,15 @@ from ...runtime.text import InputError, __version__
 from ._arm_figures import fig05, fig19, table3
 from ._contenders import Fits, Reproduced, stand_in
 from ._inverse import table3_inverse
-from ._joint_figures import fig06, fig09, fig10, fig12
+from ._joint_figures import fig06, fig09_or_10, fig12
 
 Say = Callable[[str], None]
 
 FIGURES: dict[str, Callable[[Say, Callable[[], Fits]], Reproduced]] = {
     "fig5": lambda say, fits: fig05(),
     "fig6": lambda say, fits: fig06(),
-    "fig9": lambda say, fits: fig09(),
-    "fig10": lambda say, fits: fig10(),
+    "fig9": lambda say, fits: fig09_or_10(9),
+    "fig10": lambda say, fits: fig09_or_10(10),
     "fig12": lambda say, fits: fig12(say),
     "fig19": lambda say, fits: fig19(fits()),
     "table3": lambda say, fits: table3(fits()),
@@ -70,8 +70,7 @@ _HEAD = """\
 <title>The paper's figures by giajax</title>
 """
 
-# How every whole PNG file ends.
-_PNG_END = b"IEND\xaeB`\x82"
+_PNG_END = b"IEND\xaeB`\x82"  # how every whole PNG file ends
 
 
 def reproduced_names(name: str) -> tuple[str, str, str]:

@@ -33,9 +33,7 @@ LINKS_COMPARED = 4
 CELLS = np.asarray([float(cell) for row in PRINTED.values() for cell in row[:LINKS_COMPARED]])
 """The eight that are printed, %: with air, then without."""
 
-# Cells are printed in whole percent.
-ROUNDING = 0.5
-
+ROUNDING = 0.5  # cells are printed in whole percent
 STARTS, POOL, ITERATIONS, SEED = 5, 60, 40, 0
 
 # A step changes no number by more than a factor of e^0.5, and one by a thousandth is the last.
@@ -49,7 +47,8 @@ class SearchEnd:
     Attributes:
         why: "reached", "minimum" (converged beside the printed cells), "stuck" (no minimum, but no
             step along these slopes helps), "iterations", "failed" or "interrupted".
-        start, end: values of `UNKNOWNS` there, SI, shape (unknown,).
+        start: values of `UNKNOWNS` at the beginning, SI, shape (unknown,).
+        end: the same at the end.
         out: what comes out at the end; all NaN where nothing was evaluated, as what follows.
         jacobian: of the cells by the logarithms of what is free, % a unit, shape (8, free).
         checked: the same by differences of the cells.
@@ -183,8 +182,7 @@ def _differences(taken: Reading, at: np.ndarray, step: float = 3e-3) -> np.ndarr
 
 _COLOURS = {"memory": BLUE, "own": VERMILLION}
 
-# Of a share of a direction that is worth a word.
-_WORTH = 0.25
+_WORTH = 0.25  # of a share of a direction that is worth a word
 
 
 def nearest(ends: Sequence[SearchEnd]) -> SearchEnd:

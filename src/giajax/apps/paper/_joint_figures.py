@@ -123,30 +123,19 @@ _ASSUMED = (
 _NOT_DRAWN = "nothing; the paper's measured points are not in its text, and none are drawn."
 
 
-def fig09() -> Reproduced:
-    """Fig. 9: the model without corrections."""
-    sources = Sources(
-        "eqs (2) to (11) with alpha = beta = 0, and the torque of 0.3 N m.", _ASSUMED, _NOT_DRAWN
-    )
-    return _reproduced("Fig. 9", sources, corrected=False)
+_PRINTED = {
+    9: "eqs (2) to (11) with alpha = beta = 0, and the torque of 0.3 N m.",
+    10: "eqs (2) to (11), the torque of 0.3 N m, alpha, and beta, which is read with "
+    f"|theta|: as printed it jumps at 0{DEGREE} and 20{DEGREE}.",
+}
 
 
-def fig10() -> Reproduced:
-    """Fig. 10: the model with alpha and beta."""
-    sources = Sources(
-        "eqs (2) to (11), the torque of 0.3 N m, alpha, and beta, which is read with "
-        f"|theta|: as printed it jumps at 0{DEGREE} and 20{DEGREE}.",
-        _ASSUMED,
-        _NOT_DRAWN,
-    )
-    return _reproduced("Fig. 10", sources, corrected=True)
-
-
-def _reproduced(name: str, sources: Sources, *, corrected: bool) -> Reproduced:
-    joint = Joint()
-    table = angle_table(joint, corrected=corrected)
-    figure = angle_figure(joint, corrected=corrected)
-    title = f"{name}: {figure.get_suptitle()[0].lower()}{figure.get_suptitle()[1:]}"
+def fig09_or_10(number: int) -> Reproduced:
+    """Fig. 9, the model without corrections, or fig. 10, that with alpha and beta."""
+    corrected = number == 10
+    table = angle_table(Joint(), corrected=corrected)
+    figure = angle_figure(Joint(), corrected=corrected)
+    title = f"Fig. {number}: {figure.get_suptitle()[0].lower()}{figure.get_suptitle()[1:]}"
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     rows: list[tuple[Any, ...]] = []
     for angle in ANGLES:
@@ -155,6 +144,7 @@ def _reproduced(name: str, sources: Sources, *, corrected: bool) -> Reproduced:
         contraction, force = float(table["contraction"][row]), float(table["force_N"][row])
         rows.append((f"{angle:g}", side, round(contraction, 4), round(force, 3), branch))
     headings = ("angle, deg", "muscle", "contraction", "force, N", "branch")
+    sources = Sources(_PRINTED[number], _ASSUMED, _NOT_DRAWN)
     return Reproduced(title, sources, figure, headings, tuple(rows), table)
 
 

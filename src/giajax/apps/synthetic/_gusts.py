@@ -41,9 +41,7 @@ RESOLVED = 0.5
 DECAY = 12.0
 """Of the coherence of gusts over distances, in IEC 61400-1."""
 
-# Of slow gusts, whose coherence ends after some length scales, in IEC 61400-1.
-_SLOW = 0.12
-
+_SLOW = 0.12  # of slow gusts, whose coherence ends after some length scales, in IEC 61400-1
 _LAMBDA = 2 * np.pi * 1.339
 
 

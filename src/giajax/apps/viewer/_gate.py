@@ -28,8 +28,7 @@ from ...runtime.text import InputError
 
 # Where the servers of a page listen: behind the gate, out of reach of other accounts and pages.
 
-# Of the path of a Unix socket; macOS has the least, 104.
-_LONGEST = 100
+_LONGEST = 100  # of the path of a Unix socket; macOS has the least, 104
 
 
 class PrivateSocket:
@@ -83,8 +82,7 @@ def open_in_browser(address: str) -> None:
 
 LOOPBACK = "127.0.0.1"
 
-# Of a request: more than a browser sends for a page.
-_LONGEST_HEAD = 64 * 1024
+_LONGEST_HEAD = 64 * 1024  # of a request: more than a browser sends for a page
 
 # Seconds in which a head must have come, and in which something of an answer must move.
 _HEAD_TIME, _IDLE_TIME = 10.0, 60.0
@@ -111,8 +109,7 @@ class Gate:
     Arguments:
         sockets: of the servers behind it, by the first part of the path after the token; "" is
             that of everything else.
-        host: where to listen.
-        port: where to listen; 0 for a free one.
+        host, port: where to listen; 0 for a free one.
 
     Raises:
         InputError: the port is in use, or the host is none of this machine.
@@ -210,11 +207,7 @@ class Gate:
         silent[0].transport.abort()
 
     def _passed(self, head: bytes) -> tuple[Path, bytes, str]:
-        """To which server a request goes, as what, and by which host it was asked for.
-
-        Raises:
-            _RefusedError: it is not passed on.
-        """
+        """To which server a request goes, as what, and by which host it was asked for."""
         line, *fields = head.rstrip(b"\r\n").split(b"\r\n")
         parts = line.decode("latin-1").split(" ")
         if len(parts) != 3 or parts[0] != "GET":
@@ -334,11 +327,7 @@ async def _closed(writer: asyncio.StreamWriter) -> None:
 
 
 def bound(host: str, port: int) -> socket.socket:
-    """A socket that listens at a place.
-
-    Raises:
-        InputError: the port is in use, or the host is none of this machine.
-    """
+    """A socket that listens at a place, which must be one of this machine that is not in use."""
     if not host:
         raise InputError("the host is '', which is no address: give one, such as 127.0.0.1")
     if not 0 <= port <= 65535:

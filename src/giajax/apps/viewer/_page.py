@@ -70,11 +70,8 @@ def factor(speed: str) -> float:
     return float(above) / float(below or 1)
 
 
-# Poses a second at most: smooth, and no more than two cores can draw.
-_RATE = 30.0
-
-# Of an arm without a motion: as far as a joint of the paper's goes.
-_LARGEST = 60.0
+_RATE = 30.0  # poses a second at most: smooth, and no more than two cores can draw
+_LARGEST = 60.0  # of an arm without a motion: as far as a joint of the paper's goes
 
 
 class Viewer:
@@ -287,20 +284,14 @@ class LiveStage:
 RATE = 30.0
 """Most frames in a second of the motion."""
 
-MOST_FRAMES = 1500
-"""In a file: twenty links in this many are about 2 MB."""
+MOST_FRAMES = 1500  # in a file: twenty links in this many are about 2 MB
 
 
 def recording(shows: Sequence[Show], *, overlay: bool = False, dark: bool = False) -> bytes:
     """A page for a browser in which shows are played, with a time bar and a choice of speeds.
 
-    It is HTML in UTF-8, and needs nothing else.
-
-    Arguments:
-        shows: at least one, on one clock.
-        overlay: all in one place instead of side by side.
-        dark: light on dark.
-
+    It is HTML in UTF-8, and needs nothing else. The shows, at least one, are on one clock, side by
+    side or, as an overlay, all in one place; the dark page is light on dark.
     """
     backend = Backend()
     server = backend.server

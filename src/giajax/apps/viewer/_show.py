@@ -14,12 +14,10 @@ from ...models import (
     AbstractModel,
     ArmModel,
     Scene,
-    arm_from_definition,
     arm_scene,
     capabilities,
     model_for,
     recorded_markers,
-    sensors_from_definition,
 )
 from ...recordings import Definition, Run, read_run, stored_result
 from ...runtime.arrays import Float
@@ -140,8 +138,7 @@ def shown(
         definition = Definition.load(path)
         if definition.model not in (None, ArmModel.kind):
             raise InputError(f"{path} describes a {definition.model}: give the TOML file of an arm")
-        arm, sensors = arm_from_definition(definition), sensors_from_definition(definition)
-        return Posable(ArmModel(arm, sensors=sensors), name or path.stem)
+        return Posable(ArmModel.stated_in(definition), name or path.stem)
     chosen = read_run(path, rename=rename)
     return _followed(model_for([chosen]), chosen, name or chosen.name)
 

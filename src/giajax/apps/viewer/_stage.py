@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
 # The server of viser: behind the gate, quiet, and only where the extra is installed.
 
-# What is exchanged while a server starts belongs to the whole process.
-_STARTING = threading.Lock()
+_STARTING = threading.Lock()  # what is exchanged while a server starts belongs to the whole process
 
 
 def check_viser() -> None:
@@ -196,8 +195,7 @@ def turns_to(directions: Float[np.ndarray, "row 3"]) -> Float[np.ndarray, "row 4
 # Of a box without an end so much is drawn beyond the scene, and below its surface, in extents.
 _GROUND, _PLATE = 0.6, 0.02
 
-# In extents: what is larger has no end that anybody sees.
-_ENDLESS = 5.0
+_ENDLESS = 5.0  # in extents: what is larger has no end that anybody sees
 
 
 class Scale(NamedTuple):
@@ -263,16 +261,12 @@ def ends(block: Block, extent: float) -> Float[np.ndarray, "2 3"] | None:
 
 def segments(scene: Scene, sample: int, *, bodies: bool) -> tuple[np.ndarray, ...]:
     """Starts, ends and radii of the pieces of bodies, or of threads."""
-    starts, ends, radii = [], [], []
+    pieces = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
     for line in scene.lines:
         if bool(np.any(line.radii > 0)) is bodies:
-            points = line.points[sample]
-            starts.append(points[:-1])
-            ends.append(points[1:])
-            radii.append((line.radii[1:] + line.radii[:-1]) / 2)
-    if not starts:
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
-    return np.concatenate(starts), np.concatenate(ends), np.concatenate(radii)
+            points, radii = line.points[sample], (line.radii[1:] + line.radii[:-1]) / 2
+            pieces.append((points[:-1], points[1:], radii))
+    return tuple(map(np.concatenate, zip(*pieces, strict=True)))
 
 
 def joints(scene: Scene, sample: int) -> tuple[np.ndarray, np.ndarray]:
@@ -295,8 +289,7 @@ LAYERS = {
 
 _BATCHED = ("batched_positions", "batched_wxyzs", "batched_scales", "batched_colors")
 
-# Of the largest extent.
-_THREAD, _DOT, _LONGEST_ARROW = 0.002, 0.004, 0.15
+_THREAD, _DOT, _LONGEST_ARROW = 0.002, 0.004, 0.15  # of the largest extent
 
 
 class Stage:
@@ -445,8 +438,7 @@ class Stage:
 # Between two shows, in extents of the widest; and how far off one looks from.
 _GAP, _DISTANCE = 0.25, 1.0
 
-# Vertical angle of view, rad.
-_FIELD = 0.75
+_FIELD = 0.75  # vertical angle of view, rad
 
 
 def offsets(shows: Sequence[Show], *, overlay: bool) -> Float[np.ndarray, "show 3"]:

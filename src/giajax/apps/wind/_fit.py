@@ -216,11 +216,8 @@ def _numbers(
     return table
 
 
-# A channel that bends by more than this of what it moves is none of a linear response.
-_BENT = 0.25
-
-# Fits until no channel bends any more.
-_TIMES = 3
+_BENT = 0.25  # a channel that bends by more than this of what it moves is none of a linear response
+_TIMES = 3  # fits until no channel bends any more
 
 
 def fit_wind(

@@ -77,8 +77,7 @@ def tapered(
 _FEWEST = 8
 _MISSING = 0.05
 _UNEVEN = 0.01
-# What a command may move by, rad: rounding of a file.
-_STILL = 1e-6
+_STILL = 1e-6  # what a command may move by, rad: rounding of a file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,15 +120,7 @@ class Resting:
 def resting(
     model: ArmModel, run: Run, *, skip: float = 0.0, highest: float | None = None
 ) -> Resting:
-    """The record of a run of the arm.
-
-    Arguments:
-        skip: what is left out at the beginning, s.
-        highest: frequency to look up to, Hz; by default half of what rows resolve.
-
-    Raises:
-        InputError: the run or the arm is none of which gusts have spectra.
-    """
+    """The record of a run of the arm; `skip` (s) and `highest` (Hz) are as of `fit_wind`."""
     if run.model != "arm" or run.times is None:
         raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of an arm")
     joints = model.arm.joints

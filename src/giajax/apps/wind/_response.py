@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import jax
@@ -56,14 +57,6 @@ class Linear(NamedTuple):
     moves: Float[Array, "link 3 joint"]
 
 
-class _Still(NamedTuple):
-    """What sensors ask of a motion, of one instant."""
-
-    angles: Float[Array, "1 joint"]
-    rates: Float[Array, "1 joint"]
-    successful: bool
-
-
 @program
 def linear(
     model: ArmModel,
@@ -93,7 +86,8 @@ def linear(
         return weights @ jax.vmap(at)(nodes)
 
     def shown(angles: Array, rates: Array) -> Array:
-        motion: Any = _Still(angles[None], rates[None], True)
+        # What sensors ask of a motion, of one instant.
+        motion: Any = SimpleNamespace(angles=angles[None], rates=rates[None], successful=True)
         given = (arm, model.sensors, lambda times, end: motion, jnp.zeros(1), names)
         seen, _ = recorded_channels(*given)
         return jnp.stack([seen[name][0] for name in names])
@@ -128,11 +122,7 @@ def at_rest(
     mean: np.ndarray,
     spread: np.ndarray,
 ) -> tuple[np.ndarray, Linear]:
-    """The pose in which the arm rests in a wind, and the arm about it; looked for from some angles.
-
-    Raises:
-        InputError: no rest is found, or one that the arm does not stay in.
-    """
+    """The pose in which the arm rests in a wind, looked for from some angles, and the arm there."""
 
     def about(angles: np.ndarray) -> Linear:
         given = (command, angles, mean, spread)
@@ -233,13 +223,6 @@ def joint_responses(here: Linear, frequencies: np.ndarray) -> np.ndarray:
     return np.linalg.solve(motion, flat).reshape(push.shape)
 
 
-def channel_responses(here: Linear, frequencies: np.ndarray, delays: np.ndarray) -> np.ndarray:
-    """Channels, delayed (s), by the angles of the joints; shape (frequency, channel, joint)."""
-    turn = 2j * np.pi * frequencies[:, None, None]
-    late = np.exp(-turn * delays[None, :, None])
-    return late * (here.shows_angle + turn * here.shows_rate)
-
-
 def channel_spectra(
     here: Linear, wind: Turbulence, places: np.ndarray, frequencies: np.ndarray, delays: np.ndarray
 ) -> np.ndarray:
@@ -248,7 +231,9 @@ def channel_spectra(
     The places, m, are those where the links are to the wind.
     """
     turned = joint_responses(here, frequencies).reshape(len(frequencies), len(here.by_angle), -1)
-    shown = channel_responses(here, frequencies, delays) @ turned
+    turn = 2j * np.pi * frequencies[:, None, None]
+    late = np.exp(-turn * delays[None, :, None])
+    shown = (late * (here.shows_angle + turn * here.shows_rate)) @ turned
     shown = shown.reshape(len(frequencies), -1, len(places), 3)
     total = np.zeros((len(frequencies), shown.shape[1], shown.shape[1]), complex)
     for axis, square_root in wind.roots(places, frequencies):
