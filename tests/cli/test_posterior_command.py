@@ -8,7 +8,7 @@ import pytest
 
 from giajax import load_result
 from giajax.cli import main
-from giajax.cli._posterior import _is_unfinished
+from giajax.cli._studies import _is_unfinished
 from giajax.report import sections
 from giajax.studies import PosteriorSummary
 from page_reader import Page

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from giajax import load_result, read_run
-from giajax.cli import _repetitions as _bootstrap, main
+from giajax.cli import _studies as _bootstrap, main
 from giajax.studies import Bootstrap, Influence
 
 EARLIER = Path(__file__).resolve().parents[1] / "earlier" / "hysteresis"

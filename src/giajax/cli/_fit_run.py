@@ -24,7 +24,7 @@ from ._options import (
     terminal_width,
     workers_of_starts,
 )
-from ._repetitions import self_test as repeated_fit
+from ._studies import self_test as repeated_fit
 
 if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration, Setup

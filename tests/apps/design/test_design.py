@@ -23,7 +23,7 @@ from giajax.apps.design import (
     question_of,
 )
 from giajax.cli import main
-from giajax.cli._design import source_of
+from giajax.cli._planning import source_of
 from giajax.schema.parameters import get
 from giajax.studies import expected_errors
 

@@ -1,0 +1,388 @@
+"""`giajax profile`, `posterior`, `bootstrap`, `influence` and `suspects`: studies of a fit."""
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..runtime.files import read_bytes
+from ..runtime.limits import RESULT_BYTES
+from ..runtime.signals import is_stopped, stopped_status
+from ..runtime.text import InputError
+from ._commands import Ended, Paths, Texts, argument
+from ._on_result import OnResult, on_result, record_files, show
+from ._options import ManyProgress, print_table, say_written, write_folder
+from ._values import plain_settings
+
+if TYPE_CHECKING:
+    from ..fitting import FitResult
+    from ..recordings import Run
+    from ..studies import Profiles, Step, StepwiseSelection, Suspects
+
+
+@on_result(
+    """\b
+Examples:
+  giajax profile giajax-out/run
+  giajax profile giajax-out/run air.drag_coefficient
+  giajax profile giajax-out/run joints.damping --level 0.68 --force
+  giajax profile giajax-out/run --workers 2
+
+\b
+RESULT is the folder of a fit, or its result.json. The runs are read again from
+where they were. Each PATH, a free parameter or a derived quantity, is held at
+values ever farther from its estimate while all others are fitted; without a
+PATH, all free parameters of the model.
+Writes profiles.json and profiles.png beside the result, where 'giajax report'
+finds them. What is there of the same fit is kept: further paths are added, and
+after Ctrl-C the same command goes on.""",
+    workers=True,
+    folder="Keep each side there; what is there is not done again.",
+    figures="Draw profiles.png.",
+    force="Profile again, and write over other profiles.",
+    as_json="Print JSON instead of a table.",
+    quiet="No progress, and no table.",
+)
+def profile(
+    given: OnResult,
+    paths: Annotated[Texts, argument("PATH", "What to profile (all that was free).")] = None,
+    level: Annotated[float, "P", "Level of the intervals, between 0 and 1."] = 0.95,
+) -> None:
+    """Show how far each parameter can go until the fit is too bad.
+
+    However much the other parameters help: the interval to believe where that of the standard
+    error is doubtful, at bounds and in valleys that bend.
+    """
+    from ..recordings import check_output_files, check_output_folder
+
+    if not 0 < level < 1:
+        raise InputError(f"the level is {level:g}: give one between 0 and 1, such as 0.95")
+    check_output_folder(given.home)
+    fitted = given.fitted
+    from ..studies import PROFILES, profile as profile_of
+
+    path = given.home / PROFILES
+    before = _before(path, fitted, level, force=given.force)
+    if given.figures and before is None:
+        check_output_files([path.with_suffix(".png")], force=given.force)
+    if not given.quiet:
+        typer.echo("compiling ...", err=True)
+    settings = {"paths": paths or None, "level": level, "known": None if given.force else before}
+    found = given.computed(profile_of, "sides of profiles", **settings)
+    whole = {name: one for name, one in found.profiles.items() if one.complete}
+    stopped = len(whole) < len(found.profiles)
+    profiles = {**({} if before is None else before.profiles), **whole}
+    kept = dataclasses.replace(found, profiles=profiles)
+    files = record_files(kept, fitted, path, figures=given.figures and not stopped)
+    given.finish(found, files, force=True)
+    if stopped:
+        typer.echo("giajax: what was found is kept, and the same command goes on", err=True)
+        raise typer.Exit(stopped_status())
+
+
+def _before(path: Path, result: "FitResult", level: float, *, force: bool) -> "Profiles | None":
+    """The profiles that are there of this fit; others are refused unless they may be lost."""
+    from ..studies import load_profiles
+
+    if not path.exists():
+        return None
+    try:
+        before = load_profiles(path)
+    except InputError:
+        if force:
+            return None
+        raise
+    if before.is_of(result) and before.level == level:
+        return before
+    if not force:
+        what = "another fit" if before.level == level else f"the level {before.level:g}"
+        raise InputError(f"{path} is of {what}: give --force to write over it")
+    return None
+
+
+@on_result(
+    """\b
+Examples:
+  giajax posterior giajax-out/run
+  giajax posterior giajax-out/run --draws 2000 --workers 4
+  giajax posterior giajax-out/run --chains 8 --force
+  giajax posterior giajax-out/run --out elsewhere
+
+\b
+RESULT is the folder of a fit, or its result.json. Writes posterior.json, the
+draws for ArviZ (posterior.nc), pictures, and bands of every channel as CSV.
+Each chain has a file in posterior_chains: the same command goes on after Ctrl-C,
+and with more --chains keeps those that are there. Needs pip install 'giajax[posterior]'.""",
+    workers=True,
+    out=("DIR", "Folder for files (that of the result)."),
+    as_json="Print JSON instead of a table.",
+    quiet="No progress.",
+)
+def posterior(
+    given: OnResult,
+    chains: Annotated[int, "N", "Chains.", 1] = 4,
+    draws: Annotated[int, "N", "Draws of each chain.", 8] = 1000,
+    warmup: Annotated[int, "N", "Transitions before them, to adapt.", 0] = 500,
+    seed: Annotated[int, "N", "Of the random numbers.", 0] = 0,
+) -> None:
+    """Draw from the posterior of the parameters of a fit.
+
+    Intervals that need no straight line: near a bound, along a bent valley, with priors.
+    """
+    from ..recordings import check_output_folder, make_folder
+
+    fitted = given.fitted
+    from ..report import POSTERIOR, POSTERIOR_FILES, posterior_files
+    from ..studies import check_posterior, posterior as draw
+
+    folder = given.home if given.out is None else given.out
+    check_posterior(chains=chains, draws=draws, warmup=warmup)
+    force = given.force or _is_unfinished(folder / POSTERIOR, fitted)
+    check_output_folder(folder, POSTERIOR_FILES, force=force)
+    runs = given.runs
+    make_folder(folder)
+    settings: dict[str, Any] = {"chains": chains, "draws": draws, "warmup": warmup, "seed": seed}
+    settings |= {"folder": folder / "posterior_chains", "progress": None}
+    if not given.quiet:
+        typer.echo("compiling ...", err=True)
+        settings["progress"] = ManyProgress("transitions").after
+    found = given.computed(draw, "chains", **settings)
+    contents = posterior_files(found, fitted, runs)
+    write_folder(folder, contents, force=True)
+    # Draws in the other format are those of an earlier call.
+    for name in set(POSTERIOR_FILES) - contents.keys():
+        (folder / name).unlink(missing_ok=True)
+    if given.as_json:
+        typer.echo(found.summary.to_json(), nl=False)
+    else:
+        show(found.summary, fitted)
+        say_written(folder, contents)
+    if is_stopped():
+        raise Ended(stopped_status())
+
+
+def _is_unfinished(path: Path, result: "FitResult") -> bool:
+    """Whether a file is the posterior of this fit, of an earlier call that was stopped."""
+    from ..studies import PosteriorSummary
+
+    try:
+        known = PosteriorSummary.of_json(read_bytes(path, RESULT_BYTES))
+    except (OSError, InputError):
+        return False
+    return known.is_of(result) and known.chains < known.asked
+
+
+# Repetitions of a self-test: the spread within 7 %, in about a minute for a fit of some seconds.
+_SELF_TEST = 96
+
+_KEPT = "Keep each task there; what is there is not done again."
+
+
+@on_result(
+    """\b
+Examples:
+  giajax bootstrap giajax-out/run
+  giajax bootstrap giajax-out/run --size 400 --workers 2
+  giajax bootstrap giajax-out/run --block --out blocks.json
+  giajax bootstrap giajax-out/run --whole --size 100 --folder repetitions
+
+\b
+RESULT is the folder of a fit, or its result.json. The runs are read again from
+where they were. Writes bootstrap.json and bootstrap.png beside the result, where
+giajax report finds them. Ctrl-C keeps what was done; with --folder DIR the same
+command and --force go on from there.""",
+    workers=True,
+    folder=_KEPT,
+    out=("FILE.json", "Where it goes (bootstrap.json beside RESULT)."),
+    figures="Draw the repetitions.",
+    as_json="Print JSON instead of tables.",
+)
+def bootstrap(
+    given: OnResult,
+    size: Annotated[int, "N", "Repetitions.", 2] = 200,
+    block: Annotated[bool, "With blocks of the residuals, not noise of a model."] = False,
+    whole: Annotated[bool, "Fit each as the data were, noise and all."] = False,
+    seed: Annotated[int, "N", "Of all random numbers.", 0] = 0,
+) -> None:
+    """Repeat a fit with noise drawn anew: are its errors right, and does it come back?
+
+    Bias, spread and intervals of the repetitions, and how often the 95 % interval holds the truth.
+    """
+    method = "block" if block else "parametric"
+    given.record("bootstrap", size=size, method=method, whole=whole, seed=seed)
+
+
+def self_test(
+    result: "FitResult", runs: "Sequence[Run]", folder: Path, *, shown: bool
+) -> list[Path]:
+    """Repeat a fit that has just ended, write it beside the result and show it.
+
+    No files are written where nothing could be repeated, which a sentence says.
+    """
+    from ..recordings import write_files
+    from ..studies import bootstrap as repeat
+
+    if shown:
+        typer.echo("\nself-test: the fit repeated with noise drawn anew", err=True)
+    progress = ManyProgress("parts") if shown else None
+    try:
+        found = repeat(result, runs, size=_SELF_TEST, progress=progress)
+    except InputError as error:
+        typer.echo(f"giajax: no self-test: {error}", err=True)
+        return []
+    files = record_files(found, result, folder / "bootstrap.json", figures=True)
+    write_files(files, force=True)
+    if shown:
+        print()
+        show(found, result)
+    return list(files)
+
+
+@on_result(
+    """\b
+Examples:
+  giajax influence giajax-out/run
+  giajax influence giajax-out/both --exact --workers 2
+  giajax influence giajax-out/run --spans 20 --out spans.json
+
+\b
+RESULT is the folder of a fit, or its result.json. The runs are read again from
+where they were. Writes influence.json and influence.png beside the result, where
+giajax report finds them.""",
+    workers=True,
+    folder=_KEPT,
+    out=("FILE.json", "Where it goes (influence.json beside RESULT)."),
+    figures="Draw a map.",
+    as_json="Print JSON instead of tables.",
+)
+def influence(
+    given: OnResult,
+    exact: Annotated[bool, "Fit without each marker, channel and span, too."] = False,
+    spans: Annotated[int, "N", "Spans of time of each run; 1 for none.", 1] = 10,
+    most: Annotated[int, "N", "Rows of the table.", 1] = 20,
+) -> None:
+    """Tell what each run, marker, channel and span of time does to each parameter.
+
+    Without it, how far would the parameter move, and how large would its error be?
+    """
+    given.record("influence", most=most, exact=exact, spans=spans)
+
+
+@on_result(
+    """\b
+Examples:
+  giajax suspects giajax-out/run
+  giajax suspects giajax-out/run --ladder
+  giajax suspects giajax-out/run --ladder --tries 1
+  giajax suspects giajax-out/run --ladder --held-out other.csv
+  giajax suspects giajax-out/run --systematic --uncertainty links.mass=0.002
+  giajax suspects giajax-out/run --json
+
+\b
+RESULT is the folder of a fit, or its result.json. The runs are read again from
+where they were. The most promising suspect comes first: what lowers chi-square most.
+--ladder fits the first few, takes the one whose fit has the lowest BIC, asks again,
+and so on, as long as BIC falls: minutes for each step of a long arm, and fewer with
+--tries 1, which takes the first one at its word.""",
+    out=("FILE.json", "Write the result with its suspects there."),
+    force="Write over a file.",
+    as_json="Print JSON instead of tables.",
+    quiet="No progress.",
+)
+def suspects(
+    given: OnResult,
+    each: Annotated[Texts, "PATH", "Test the elements of this array one by one, too."] = None,
+    systematic: Annotated[bool, "Show what held numbers do to the fitted ones."] = False,
+    uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a held number."] = None,
+    ladder: Annotated[bool, "Fit the most promising suspects in turn."] = False,
+    held_out: Annotated[Paths, "RUN.csv", "A run to judge the ladder by."] = None,
+    most: Annotated[int, "N", "Rows of the table and steps of the ladder.", 1] = 8,
+    tries: Annotated[int | None, "N", "Suspects that each step of the ladder fits (3).", 1] = None,
+) -> None:
+    """Test what a fit held, switched off or left out.
+
+    Which of it would lower chi-square, and to which value one step leads: added mass, a late
+    camera, wind, friction, swapped axes and all else that the model knows.
+    """
+    from ..recordings import Definition, check_output_files, read_runs, write_files
+    from ..tasks import held_out_runs
+
+    deviations = plain_settings(uncertainty, "--uncertainty")
+    if given.out is not None:
+        check_output_files([given.out], force=given.force)
+    if held_out and not ladder:
+        raise typer.BadParameter("--held-out judges the fits of a ladder: add --ladder")
+    if tries is not None and not ladder:
+        raise typer.BadParameter("--tries is how many fits a step of a ladder makes: add --ladder")
+    fitted, runs = given.fitted, given.runs
+    from ..report import (
+        SUSPECT_HEADINGS,
+        stepwise_table,
+        suspect_rows,
+        suspect_summary,
+        systematic_table,
+    )
+    from ..studies import TRIES, ladder as selected, suspects as tested, with_systematic_errors
+
+    others = read_runs(held_out or [], Definition(), rename=given.renamed)
+    found = tested(fitted, runs, each=each or [])
+    fitted = dataclasses.replace(fitted, suspects=found.rows)
+    fitted = with_systematic_errors(fitted, runs, deviations or None)
+    shown = not (given.as_json or given.quiet)
+    if shown:
+        if rows := suspect_rows(found, most):
+            print_table(SUSPECT_HEADINGS, rows)
+            print()
+        print("\n".join(suspect_summary(found)))
+        if systematic or deviations:
+            print("\nwhat a held number moves, in standard errors:")
+            print_table(*systematic_table(fitted))
+    steps = None
+    if ladder:
+        others += held_out_runs(fitted, given.data or [], rename=given.renamed)
+        said = None if given.quiet else _say
+        steps = selected(
+            fitted, runs, held_out=others, most=most, tries=tries or TRIES, progress=said
+        )
+        if shown:
+            print()
+            print_table(*stepwise_table(steps))
+            print("\n" + "\n".join([steps.ending, *steps.result.conditions]))
+    if given.out is not None:
+        write_files({given.out: fitted.to_json().encode()}, force=given.force)
+    if given.as_json:
+        from ..runtime.records import plain_data
+
+        typer.echo(json.dumps(plain_data(_facts(fitted, found, steps)), indent=2))
+
+
+def _say(step: "Step") -> None:
+    added = "the fit" if step.suspect is None else step.change
+    typer.echo(f"{added}: chi-square {step.chi_square:.5g}", err=True)
+
+
+_STEP = ("removed", "chi_square", "aic", "bic", "held_out")
+
+
+def _facts(
+    result: "FitResult", found: "Suspects", steps: "StepwiseSelection | None"
+) -> dict[str, Any]:
+    """What `--json` prints."""
+    facts: dict[str, Any] = {key: getattr(found, key) for key in ("chi_square", "values", "asked")}
+    facts |= {"suspects": result.suspects, "systematic": result.systematic}
+    if steps is not None:
+        facts["ladder"] = {
+            "ending": steps.ending,
+            "rungs": [
+                {
+                    "path": None if step.suspect is None else step.suspect.path,
+                    **{key: getattr(step, key) for key in _STEP},
+                    "parameters": step.result.parameters,
+                }
+                for step in steps.steps
+            ],
+        }
+    return facts
