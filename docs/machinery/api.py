@@ -4,6 +4,7 @@ import functools
 import importlib
 import inspect
 import pkgutil
+import re
 from types import ModuleType
 
 import giajax
@@ -33,14 +34,19 @@ def _exported(room: str) -> dict[str, object]:
     module = importlib.import_module(f"giajax.{room}")
     names = getattr(module, "__all__", vars(module))
     found = {name: getattr(module, name) for name in names if not name.startswith("_")}
-    # What a package imports, it exports; a module has what it defines, and constants.
+    # What a package imports, it exports; a module has what it defines, constants too.
     of_package = hasattr(module, "__path__")
+    source = inspect.getsource(module)
     return {
         name: thing
         for name, thing in found.items()
         if not isinstance(thing, ModuleType)
         and _home(thing, room)
-        and (of_package or name.isupper() or getattr(thing, "__module__", "") == module.__name__)
+        and (
+            of_package
+            or (name.isupper() and re.search(rf"^{name}\b", source, re.MULTILINE))
+            or getattr(thing, "__module__", "") == module.__name__
+        )
     }
 
 

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from giajax.apps import experiments
 from giajax.apps.experiments import (
     SimulatedJoint,
-    _one_link,
     figure_12,
     history,
     one_link,
@@ -78,7 +78,7 @@ def test_the_noise_is_that_of_two_markers():
 
 def test_no_trial_is_made_with_a_fit_that_was_stopped(monkeypatch):
     stopped = SimpleNamespace(status="interrupted")
-    monkeypatch.setattr(_one_link, "identify", lambda recording: stopped)
+    monkeypatch.setattr(experiments, "_identify", lambda recording: stopped)
     with pytest.raises(KeyboardInterrupt):
         one_link()
 

@@ -1,32 +1,45 @@
-"""The paper's experiment with one link (section IV.A, fig. 12), on a simulated joint.
-
-The joint is recorded while it follows commands; from the recording two compensations are made,
-eq. (12) and the inverse of a modified Prandtl-Ishlinskii operator; and each is judged by how far
-the joint is from its target, on the paper's own history and on another one.
-"""
+"""Simulated experiments, of which no public recording exists: one link, a Bouc-Wen benchmark."""
 
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from ...fitting import FitResult, fit
-from ...mechanics.hysteresis import BoucWen, Preisach
-from ...models import model_for
-from ...recordings import Run
-from ..control import compensator_for_loop, compensator_for_model
+from ..fitting import FitResult, fit
+from ..mechanics.hysteresis import BoucWen, Preisach
+from ..models import OscillatorModel, model_for
+from ..recordings import Run, check_output_folder, make_folder, write_files, write_run
+from ..report import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    VERMILLION,
+    columns_of,
+    new_figure,
+    plain,
+    to_csv,
+    to_png,
+)
+from ..schema.parameters import get
+from .control import compensator_for_loop, compensator_for_model
+from .synthetic import synthesise
 
-Degrees = npt.NDArray[np.float64]
+_Degrees = npt.NDArray[np.float64]
 
 # Within this angle a command is held for longer.
 _SLOW = 30.0
 _SLOW_SECONDS, _SECONDS = 20.0, 5.0
 
 _OTHER = (0, 45, -35, 30, -20, 50, 10, 40, -10, 20, -50, -5, -30, 15, 0)
-PAPER = (0, 60, -60, 0)  # turns of the paper's history, deg; of the preparatory movement, too
+_PAPER = (0, 60, -60, 0)  # turns of the paper's history, deg; of the preparatory movement, too
 
 
 @dataclass(frozen=True)
@@ -39,7 +52,7 @@ class History:
 
     name: str
     times: npt.NDArray[np.float64]
-    target: Degrees
+    target: _Degrees
     measured: npt.NDArray[np.bool_]
 
 
@@ -48,20 +61,20 @@ def history(name: str, turns: Sequence[float]) -> History:
 
     A step takes 5 s, and 20 s where the command is within 30 deg of 0.
     """
-    before = _steps(PAPER)
+    before = _steps(_PAPER)
     target = np.concatenate([before, _steps(turns)[1:]])
     held = np.where(np.abs(target) <= _SLOW, _SLOW_SECONDS, _SECONDS)
     return History(name, np.cumsum(held), target, np.arange(len(target)) >= len(before) - 1)
 
 
-def _steps(turns: Sequence[float]) -> Degrees:
+def _steps(turns: Sequence[float]) -> _Degrees:
     pieces = [np.linspace(a, b, round(abs(b - a)) + 1)[1:] for a, b in itertools.pairwise(turns)]
     return np.concatenate([[turns[0]], *pieces]).astype(float)
 
 
 def paper_history() -> History:
     """0, 60, -60, 0 deg, after the same as a preparation."""
-    return history("paper", PAPER)
+    return history("paper", _PAPER)
 
 
 def other_history() -> History:
@@ -74,7 +87,7 @@ def other_history() -> History:
 # It is made of other parts than what is fitted to it: Preisach hysteresis of the film, Bouc-Wen
 # hysteresis of the muscles, and a joint that snaps through about 0 deg.
 
-RANGE = 60.0
+_RANGE = 60.0
 
 
 @dataclass(frozen=True)
@@ -113,20 +126,20 @@ class SimulatedJoint:
     marker_distance: float = 0.4
     seed: int = 0
 
-    def drive(self, commands: npt.ArrayLike) -> Degrees:
+    def drive(self, commands: npt.ArrayLike) -> _Degrees:
         """Command after the hysteresis of film and muscles, deg, shape (sample,)."""
-        u = jnp.asarray(np.asarray(commands, dtype=float) / RANGE)
+        u = jnp.asarray(np.asarray(commands, dtype=float) / _RANGE)
         film = Preisach(
             slope=jnp.asarray(0.0),
             saturation=jnp.asarray(1.0),
-            coercivity=jnp.asarray(self.film_width / RANGE),
+            coercivity=jnp.asarray(self.film_width / _RANGE),
             coercivity_spread=jnp.asarray(self.film_spread),
             bias=jnp.asarray(0.0),
-            interaction=jnp.asarray(self.film_scatter / RANGE),
+            interaction=jnp.asarray(self.film_scatter / _RANGE),
             extent=1.1,
             rows=60,
         )
-        rate = RANGE / self.muscle_travel
+        rate = _RANGE / self.muscle_travel
         muscle = BoucWen(
             elastic=jnp.asarray(0.0),
             alpha=jnp.asarray(rate),
@@ -137,9 +150,9 @@ class SimulatedJoint:
         )
         elastic = 1 - self.film - self.muscle
         parts = self.film * film.history(u)[0] + self.muscle * muscle.history(u)[0]
-        return RANGE * np.asarray(elastic * u + parts)
+        return _RANGE * np.asarray(elastic * u + parts)
 
-    def rest_angles(self, drive: Degrees) -> Degrees:
+    def rest_angles(self, drive: _Degrees) -> _Degrees:
         """The angle that the joint settles at, on the side of the gap that it is on, deg."""
         settled, upper = [], bool(drive[0] >= 0)
         for x in drive:
@@ -149,13 +162,13 @@ class SimulatedJoint:
             settled.append(float(side * (side * x + gap * np.exp(-side * x / self.decay))))
         return np.asarray(settled)
 
-    def angles(self, commands: npt.ArrayLike, *, trial: int = 0) -> Degrees:
+    def angles(self, commands: npt.ArrayLike, *, trial: int = 0) -> _Degrees:
         """The true angle after each step of a history of commands, deg, shape (sample,)."""
         drive = self.drive(commands)
         random = np.random.default_rng([self.seed, trial, 1])
         return self.rest_angles(drive + self.pressure_noise * random.standard_normal(len(drive)))
 
-    def measured(self, commands: npt.ArrayLike, *, trial: int = 0) -> Degrees:
+    def measured(self, commands: npt.ArrayLike, *, trial: int = 0) -> _Degrees:
         """The angle as two markers show it to an inclined camera, deg; each trial has its noise."""
         true = np.deg2rad(self.angles(commands, trial=trial) + self.inclination)
         random = np.random.default_rng([self.seed, trial, 2])
@@ -168,7 +181,7 @@ class SimulatedJoint:
 # Nested and displaced loops: where eq. (12) needs one loop, an operator with memory needs more.
 _NESTED = (0, 50, -50, 40, -40, 30, -30, 20, -20, 10, -10, 0, 50, 20, 45, 10, -45, -15, -40, -5, 0)
 
-TRAVEL = np.deg2rad(40.0)  # the paper does not say over how much travel xi goes from 0 to 1
+_TRAVEL = np.deg2rad(40.0)  # the paper does not say over how much travel xi goes from 0 to 1
 _THRESHOLDS = 12
 _DEAD_ZONES = tuple(float(value) for value in np.deg2rad([0.5, 1, 2, 4, 8, 16, 32, 48]))
 
@@ -185,11 +198,11 @@ class Trial:
 
     history: History
     compensation: str
-    commands: Degrees
-    angles: Degrees
+    commands: _Degrees
+    angles: _Degrees
 
     @property
-    def errors(self) -> Degrees:
+    def errors(self) -> _Degrees:
         """Measured less target angles where measured, deg."""
         return (self.angles - self.history.target)[self.history.measured]
 
@@ -232,7 +245,7 @@ class OneLink:
 def one_link(
     joint: SimulatedJoint | None = None,
     *,
-    travel: float = TRAVEL,
+    travel: float = _TRAVEL,
     progress: Callable[[str], None] | None = None,
 ) -> OneLink:
     """Run the experiment.
@@ -250,7 +263,7 @@ def one_link(
     on_paper = np.rad2deg(recording.values["angle"][: len(paper.target)])
     branches = compensator_for_loop(_run(paper, on_paper), travel)
     say("fitting the modified Prandtl-Ishlinskii operator")
-    result = identify(recording)
+    result = _identify(recording)
     if result.status == "interrupted":
         # Trials with an operator that was cut short would look like whole ones.
         raise KeyboardInterrupt
@@ -264,7 +277,7 @@ def one_link(
             if compensator is not None:
                 aimed = np.clip(np.deg2rad(plan.target), *compensator.reachable)
                 # The joint takes no command beyond its range.
-                commands = np.clip(np.rad2deg(compensator.commands(aimed)), -RANGE, RANGE)
+                commands = np.clip(np.rad2deg(compensator.commands(aimed)), -_RANGE, _RANGE)
             seen = joint.measured(commands, trial=number)
             error = (seen - plan.target)[plan.measured]
             # The median makes the mean error least.
@@ -281,13 +294,13 @@ def record_joint(joint: SimulatedJoint | None = None) -> Run:
 
 
 def _record(joint: SimulatedJoint) -> tuple[Run, float]:
-    plan, paper = history("identification", (*PAPER, *_NESTED[1:])), paper_history()
+    plan, paper = history("identification", (*_PAPER, *_NESTED[1:])), paper_history()
     angles = joint.measured(plan.target)
     offset = float(np.median((angles[: len(paper.target)] - paper.target)[paper.measured]))
     return _run(plan, angles - offset), offset
 
 
-def identify(recording: Run) -> FitResult:
+def _identify(recording: Run) -> FitResult:
     """Fit the modified Prandtl-Ishlinskii operator to a recording of a joint."""
     # An operator only approximates the joint, and its inverse is to be near it: what is left has a
     # memory, but is no noise.
@@ -296,7 +309,7 @@ def identify(recording: Run) -> FitResult:
     )
 
 
-def _run(plan: History, angles: Degrees) -> Run:
+def _run(plan: History, angles: _Degrees) -> Run:
     seen = np.where(plan.measured, np.deg2rad(angles), np.nan)
     return Run.from_arrays(
         plan.times,
@@ -312,3 +325,168 @@ def _run(plan: History, angles: Degrees) -> Run:
             },
         },
     )
+
+
+# Title and colour by compensation.
+_COLUMNS = {
+    "none": ("without compensation", VERMILLION),
+    "branches": ("eq. (12)", BLUE),
+    "inverse": ("inverse of the modified Prandtl-Ishlinskii form", GREEN),
+}
+_HISTORIES = {"paper": "the paper's history", "other": "other amplitudes and minor loops"}
+
+
+def figure_12(study: OneLink) -> Figure:
+    """One row a history, one column a compensation."""
+    histories = list(dict.fromkeys(trial.history.name for trial in study.trials))
+    columns = list(dict.fromkeys(trial.compensation for trial in study.trials))
+    title = "One link: measured against target angle, simulated joint, offset removed"
+    figure = new_figure(3.6 * len(columns), 3.4 * len(histories) + 0.5, title)
+    grid = figure.subplots(len(histories), len(columns), sharex=True, sharey=True, squeeze=False)
+    for row, name in enumerate(histories):
+        for column, compensation in enumerate(columns):
+            axes = grid[row, column]
+            _draw(axes, study.trial(name, compensation))
+            if column == 0:
+                axes.set_ylabel(f"{_HISTORIES.get(name, name)}\nmeasured angle (deg)")
+            if row == len(histories) - 1:
+                axes.set_xlabel("target angle (deg)")
+            if row == 0:
+                axes.set_title(_COLUMNS[compensation][0], fontsize=9, loc="left", color=INK)
+    return figure
+
+
+def _draw(axes: Axes, trial: Trial) -> None:
+    ends = np.asarray([-65.0, 65.0])
+    axes.plot(ends, ends, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
+    measured, colour = trial.history.measured, _COLUMNS[trial.compensation][1]
+    small: Any = {"linewidth": 0.9, "marker": "o", "markersize": 1.8, "markeredgewidth": 0}
+    axes.plot(trial.history.target[measured], trial.angles[measured], color=colour, **small)
+    plain(axes)
+    axes.set_xlim(*ends)
+    axes.set_ylim(-70, 70)
+    axes.set_xticks(range(-60, 61, 20))
+    axes.set_yticks(range(-60, 61, 20))
+    errors = f"error: mean {trial.mean:.1f}, largest {trial.largest:.1f} deg"
+    axes.text(0.03, 0.97, errors, transform=axes.transAxes, fontsize=8, color=INK, va="top")
+
+
+ONE_LINK_FILES = (
+    *("fig12.png", "fig12.csv", "errors.csv", "result.json"),
+    *("recording.csv", "recording.toml"),
+)
+"""What the 1-link experiment writes."""
+
+_ERRORS = ("history", "compensation", "mean_error_deg", "largest_error_deg")
+_TABLE = ("history", "compensation", "time_s", "target_deg", "command_deg", "angle_deg")
+
+
+def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list[Path]:
+    """Write the picture, its numbers, the errors, the recording and the fit; the paths of them."""
+    check_output_folder(folder, ONE_LINK_FILES, force=force)
+    make_folder(folder)
+    errors = [
+        (trial.history.name, trial.compensation, f"{trial.mean:.4f}", f"{trial.largest:.4f}")
+        for trial in study.trials
+    ]
+    contents = {
+        folder / "fig12.png": to_png(figure_12(study)),
+        folder / "fig12.csv": to_csv(one_link_table(study)),
+        folder / "errors.csv": to_csv(columns_of(_ERRORS, errors)),
+        folder / "result.json": study.result.to_json().encode(),
+    }
+    write_files(contents, force=force)
+    run = study.recording
+    recording = folder / "recording.csv"
+    write_run(recording, run.times, run.values, definition=run.definition, force=force, digits=7)
+    return [*contents, recording, recording.with_suffix(".toml")]
+
+
+def one_link_table(study: OneLink) -> dict[str, list[str]]:
+    """Every sample of every trial, the numbers of fig. 12; an empty cell was not measured."""
+    rows = []
+    for trial in study.trials:
+        plan = trial.history
+        for time, target, command, angle in zip(
+            plan.times, plan.target, trial.commands, trial.angles, strict=True
+        ):
+            seen = "" if np.isnan(angle) else f"{angle:.4f}"
+            cells = (f"{time:g}", f"{target:g}", f"{command:.4f}", seen)
+            rows.append((plan.name, trial.compensation, *cells))
+    return columns_of(_TABLE, rows)
+
+
+# The benchmark of a mass on a spring and damper with a Bouc-Wen element, generated here.
+#
+# Reference: J. P. Noel, M. Schoukens, "Hysteretic benchmark with a dynamic nonlinearity",
+# Workshop on Nonlinear System Identification Benchmarks, Brussels 2016.
+
+_RATE = 750.0
+_SAMPLES = 8192
+NOISE = 8e-6
+_PATHS = ("mass", "damping", "stiffness", "alpha", "beta", "gamma", "delta")
+
+
+@dataclass(frozen=True)
+class BoucWenBenchmark:
+    """Runs of the benchmark and what is behind them.
+
+    Attributes:
+        multisine: 5 to 150 Hz, 50 N RMS, 8192 samples at 750 Hz, 8e-3 mm RMS of noise.
+        sweep: 20 to 50 Hz at 10 Hz a minute, 40 N, without noise.
+        truth: parameters and determined products, SI.
+    """
+
+    multisine: Run
+    sweep: Run
+    truth: dict[str, float]
+
+
+def bouc_wen_benchmark(seed: int = 0) -> BoucWenBenchmark:
+    """Generate the benchmark; the phases of the multisine and the noise come from the seed.
+
+    The force of the multisine is one period of a band-limited signal, that of the sweep is
+    linear between its rows.
+    """
+    model = OscillatorModel(interpolation="band_limited").refined(1e-3)
+    truth = {path: float(get(model, path)) for path in _PATHS}
+    truth |= {name: float(derived.value) for name, derived in model.derived().items()}
+    force = multisine(np.random.default_rng(seed))
+    # To the digits of a file, so that a run that is read again is the same.
+    times = np.round(np.arange(_SAMPLES) / _RATE, 9)
+    recorded = synthesise(
+        model,
+        times,
+        {"input": force},
+        ["output"],
+        noise={"output": NOISE},
+        seed=seed,
+        definition={"truth": truth},
+        name="bouc_wen_multisine",
+    )
+    times, force = sweep()
+    about: Any = {"definition": {"truth": truth}, "name": "bouc_wen_sweep"}
+    model = OscillatorModel().refined(1e-3)
+    swept = synthesise(model, times, {"input": force}, ["output"], **about)
+    return BoucWenBenchmark(recorded, swept, truth)
+
+
+def multisine(random: np.random.Generator) -> npt.NDArray[np.float64]:
+    """One period of equal amplitudes and random phases, 5 to 150 Hz, 50 N RMS; N."""
+    frequencies = np.arange(_SAMPLES // 2 + 1) * _RATE / _SAMPLES
+    excited = (frequencies >= 5) & (frequencies <= 150)
+    phases = np.exp(2j * np.pi * random.uniform(size=len(frequencies)))
+    force = np.fft.irfft(np.where(excited, phases, 0), _SAMPLES)
+    return np.asarray(50 * force / np.sqrt(np.mean(force**2)))
+
+
+def sweep() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Times (s) and force (N) of a sine of 40 N from 20 to 50 Hz, 10 Hz a minute."""
+    growth = 10 / 60
+    times = np.arange(0, 30 / growth, 1 / _RATE)
+    return times, 40 * np.sin(2 * np.pi * (20 + growth / 2 * times) * times)
+
+
+def decibels(rms: float) -> float:
+    """An RMS error (m) as the literature on the benchmark states it: 20 log10 of it."""
+    return float(20 * np.log10(rms))

@@ -1,6 +1,7 @@
-"""Filling an arm, and what comes of it."""
+"""An arm of balloons that is filled with helium: its course in time, tables and pictures."""
 
 import dataclasses
+import json
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -11,9 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 import optimistix
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from ...mechanics.arm import STANDARD_GRAVITY, bodies
-from ...mechanics.inflation import (
+from ..mechanics.arm import STANDARD_GRAVITY, bodies
+from ..mechanics.inflation import (
     STRENGTHS,
     BagState,
     Filling,
@@ -24,14 +28,16 @@ from ...mechanics.inflation import (
     mass_flow,
     stiff_share,
 )
-from ...runtime.arrays import Array, Bool, Float, Int, Scalar
-from ...runtime.limits import FILLING_S
-from ...runtime.programs import program
-from ...runtime.text import InputError
-from ...schema import GAS, PORTS, SKIN, SUPPLY
-from ...schema.parameters import check_within_bounds, declared, get, replace
+from ..report import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png
+from ..runtime.arrays import Array, Bool, Float, Int, Scalar
+from ..runtime.limits import FILLING_S
+from ..runtime.programs import program
+from ..runtime.records import plain_data
+from ..runtime.text import InputError
+from ..schema import GAS, PORTS, SKIN, SUPPLY
+from ..schema.parameters import check_within_bounds, declared, get, replace
 
-MOST_STEPS = 20_000
+_MOST_STEPS = 20_000
 
 
 class State(NamedTuple):
@@ -41,7 +47,7 @@ class State(NamedTuple):
     supplied: Scalar
 
 
-class Course(NamedTuple):
+class _Course(NamedTuple):
     """Gas over time, at evenly spaced times (s) from 0 to the end, as `Filled` has it.
 
     Shares and what was supplied are over what fills a bag, or all. Times of what never came: NaN.
@@ -61,7 +67,7 @@ class Course(NamedTuple):
 def rates(time: Any, state: State, filling: Filling) -> State:
     """Rates of change, 1/s: what comes through one port of a bag less what leaves by the other."""
     gas, full = filling.gas, filling.full_mass
-    pressure = bags_at(filling, state.share).pressure
+    pressure = _bags_at(filling, state.share).pressure
     absolute = gas.ambient_pressure + pressure
     hole = Hole(*jax.tree.leaves(filling.ports))
     between = mass_flow(gas, hole, absolute[:-1], absolute[1:])
@@ -72,15 +78,15 @@ def rates(time: Any, state: State, filling: Filling) -> State:
     return State((into - out) / full, fed / total)
 
 
-def bags_at(filling: Filling, share: PerBag) -> BagState:
+def _bags_at(filling: Filling, share: PerBag) -> BagState:
     """Pressure and volume of the bags."""
     return bag_state(filling.gas, filling.skin, filling.stretch, share)
 
 
-def net_lift_of_links(filling: Filling, share: PerBag) -> Float[Array, " link"]:
+def _net_lift_of_links(filling: Filling, share: PerBag) -> Float[Array, " link"]:
     """Mass that each link could still carry, kg: air displaced, less gas and all that it bears."""
     arm, here = filling.arm, filling.bag_of_link
-    fullness = bags_at(filling, share).fullness[here]
+    fullness = _bags_at(filling, share).fullness[here]
     borne = bodies(arm).mass
     if arm.buoyancy is not None:
         # Its gas is that which is being filled in.
@@ -90,7 +96,7 @@ def net_lift_of_links(filling: Filling, share: PerBag) -> Float[Array, " link"]:
 
 
 @program
-def course(filling: Filling, end: Scalar, tolerance: Scalar, *, times: int) -> Course:
+def _course(filling: Filling, end: Scalar, tolerance: Scalar, *, times: int) -> _Course:
     """Fill until every bag has what fills it, or until the end (s); told of at so many times.
 
     The tolerance of the steps is relative to what fills a bag.
@@ -112,7 +118,7 @@ def course(filling: Filling, end: Scalar, tolerance: Scalar, *, times: int) -> C
         stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         saveat=diffrax.SaveAt(dense=True, t1=True),
         event=diffrax.Event(missing, optimistix.Newton(rtol=exact, atol=exact)),
-        max_steps=MOST_STEPS,
+        max_steps=_MOST_STEPS,
         throw=False,
     )
     assert solution.ts is not None
@@ -121,7 +127,7 @@ def course(filling: Filling, end: Scalar, tolerance: Scalar, *, times: int) -> C
     grid = jnp.linspace(0, last, times, dtype=last.dtype)
     known = jax.vmap(solution.evaluate)(grid)
     full, lifts, lifts_all = _crossings(filling, solution, grid, known)
-    return Course(
+    return _Course(
         grid,
         known.share,
         known.supplied,
@@ -141,7 +147,7 @@ def _crossings(
     """When bags are full, links are borne, and the arm is: by bisection of the solution."""
 
     def all_of(share: PerBag) -> Array:
-        lift = net_lift_of_links(filling, share)
+        lift = _net_lift_of_links(filling, share)
         return jnp.concatenate([share - 1, lift, jnp.sum(lift)[None]])
 
     above = jax.vmap(all_of)(known.share) >= 0
@@ -161,7 +167,7 @@ def _crossings(
     return times[:bags], times[bags:-1], times[-1]
 
 
-Numbers = npt.NDArray[np.float64]
+_Numbers = npt.NDArray[np.float64]
 
 LIMIT = 6 * 3600.0
 """When `fill` gives up, s."""
@@ -194,17 +200,17 @@ class Filled:
     """
 
     filling: Filling
-    times: Numbers
-    fullness: Numbers
-    pressure: Numbers
-    gas: Numbers
-    supplied: Numbers
-    flow: Numbers
-    net_lift: Numbers
-    folding_moment: Numbers
-    stiffness: Numbers
-    full: Numbers
-    lift_off: Numbers
+    times: _Numbers
+    fullness: _Numbers
+    pressure: _Numbers
+    gas: _Numbers
+    supplied: _Numbers
+    flow: _Numbers
+    net_lift: _Numbers
+    folding_moment: _Numbers
+    stiffness: _Numbers
+    full: _Numbers
+    lift_off: _Numbers
     arm_lift_off: float
     finished: bool
 
@@ -239,8 +245,8 @@ def fill(filling: Filling | None = None, *, limit: float = LIMIT) -> Filled:
     made = Filling() if filling is None else filling
     if not 0 < limit < np.inf:
         raise InputError(f"the limit is {limit:g} s: give a positive number of seconds")
-    check_filling(made)
-    found = tried(made, limit, _TOLERANCE)
+    _check_filling(made)
+    found = _tried(made, limit, _TOLERANCE)
     if not bool(found.succeeded):
         raise InputError(
             f"the filling cannot be followed beyond {float(found.times[-1]):.3g} s, after "
@@ -272,15 +278,15 @@ def fill(filling: Filling | None = None, *, limit: float = LIMIT) -> Filled:
     )
 
 
-def tried(filling: Filling, limit: float, tolerance: float) -> Course:
+def _tried(filling: Filling, limit: float, tolerance: float) -> _Course:
     """The gas over time, as far as its steps came."""
     if jnp.result_type(float) == jnp.float32:
         tolerance = max(tolerance, 1e-4)
     numbers = (jnp.asarray(number, jnp.result_type(float)) for number in (limit, tolerance))
-    return course(filling, *numbers, times=_TIMES)
+    return _course(filling, *numbers, times=_TIMES)
 
 
-def check_filling(filling: Filling) -> None:
+def _check_filling(filling: Filling) -> None:
     """Refuse numbers that are out of bounds."""
     own = {declaration.path for group in (GAS, SKIN, PORTS, SUPPLY) for declaration in group}
     for path, parameter in declared(filling).items():
@@ -292,14 +298,14 @@ def check_filling(filling: Filling) -> None:
 
 
 @program
-def _states(filling: Filling, found: Course) -> tuple[Array, Array, Array, Array]:
+def _states(filling: Filling, found: _Course) -> tuple[Array, Array, Array, Array]:
     """Pressure and fullness of bags, flow of the supply and net lift of links, by time."""
     total = jnp.sum(filling.full_mass)
 
     def at(share: Array, supplied: Scalar) -> tuple[Array, Array, Array, Array]:
-        bags = bags_at(filling, share)
+        bags = _bags_at(filling, share)
         fed = inflow(filling.gas, filling.supply, bags.pressure[0], supplied * total)
-        lift = net_lift_of_links(filling, share)
+        lift = _net_lift_of_links(filling, share)
         return bags.pressure, bags.fullness, fed / filling.gas.density, lift
 
     return jax.vmap(at)(found.share, found.supplied)
@@ -330,11 +336,11 @@ class FillingCurve:
     """
 
     duration: float
-    diameters: Numbers
-    strengths: Numbers
+    diameters: _Numbers
+    strengths: _Numbers
     path: str
-    flows: Numbers
-    pressures: Numbers
+    flows: _Numbers
+    pressures: _Numbers
 
 
 def filling_curve(
@@ -366,7 +372,7 @@ def filling_curve(
     # From the widest, which needs what ports of no resistance need.
     for diameter in sorted(diameters, reverse=True):
         narrowed = replace(made, {PORTS.diameter.path: float(diameter)})
-        check_filling(narrowed)
+        _check_filling(narrowed)
         strength = _strength(narrowed, path, duration, guess)
         if strength is None:
             columns.append((diameter, np.nan, np.nan, np.nan))
@@ -386,7 +392,7 @@ def _strength(filling: Filling, path: str, duration: float, guess: float) -> flo
     low, high, start = -math.inf, math.inf, guess
     here, before = guess, None
     for _ in range(_TRIES):
-        course = tried(replace(filling, {path: math.exp(here)}), 4 * duration, 1e-7)
+        course = _tried(replace(filling, {path: math.exp(here)}), 4 * duration, 1e-7)
         if not bool(course.succeeded):
             return None
         finished = bool(course.finished)
@@ -404,3 +410,135 @@ def _strength(filling: Filling, path: str, duration: float, guess: float) -> flo
         if abs(here - start) > _FAR or high - low < 1e-12:
             return None
     return None
+
+
+FILLING_FILES = ("filling.json", "filling.csv", "filling.png")
+CURVE_FILES = ("curve.csv", "curve.png")
+
+_MINUTE, _LITRE_PER_MINUTE = 60.0, 1e-3 / 60
+
+
+def filling_files(filled: Filled, curve: FillingCurve | None = None) -> dict[str, bytes]:
+    """Numbers and pictures of a filling, by the names of `FILLING_FILES` and `CURVE_FILES`."""
+    files = {
+        "filling.json": f"{filling_json(filled, curve)}\n".encode(),
+        "filling.csv": to_csv(_columns(filled)),
+        "filling.png": to_png(filling_figure(filled)),
+    }
+    if curve is not None:
+        pairs = {
+            "port_diameter_mm": curve.diameters * 1e3,
+            "supply_flow_l_per_min": curve.flows / _LITRE_PER_MINUTE,
+            curve.path.replace(".", "_"): curve.strengths,
+            "largest_pressure_Pa": curve.pressures,
+        }
+        files |= {"curve.csv": to_csv(pairs), "curve.png": to_png(curve_figure(curve))}
+    return files
+
+
+def _columns(filled: Filled) -> dict[str, Any]:
+    columns: dict[str, Any] = {
+        "time_s": filled.times,
+        "supply_flow_m3_per_s": filled.flow,
+        "supplied_kg": filled.supplied,
+    }
+    each = {
+        "fullness": filled.fullness,
+        "pressure_Pa": filled.pressure,
+        "net_lift_kg": filled.net_lift,
+        "stiffness_N_m2": filled.stiffness,
+    }
+    for name, table in each.items():
+        columns |= {f"link{i:02d}_{name}": row for i, row in enumerate(table.T, start=1)}
+    return columns
+
+
+def filling_json(filled: Filled, curve: FillingCurve | None = None) -> str:
+    """A filling as JSON text, without what it was like on the way; what never came is null."""
+    made = filled.filling
+    facts: dict[str, Any] = {
+        "finished": filled.finished,
+        "duration_s": filled.duration,
+        "arm_lift_off_s": filled.arm_lift_off,
+        "volume_m3": np.sum(np.asarray(made.volume)),
+        "supplied_kg": filled.supplied[-1],
+        "imbalance": filled.imbalance,
+        "links": {
+            f"link{i:02d}": {
+                "full_s": filled.full[i - 1],
+                "lift_off_s": filled.lift_off[i - 1],
+                "largest_pressure_Pa": filled.pressure[:, i - 1].max(),
+                "fullness": filled.fullness[-1, i - 1],
+                "net_lift_kg": filled.net_lift[-1, i - 1],
+                "folding_moment_N_m": filled.folding_moment[-1, i - 1],
+                "stiffness_N_m2": filled.stiffness[-1, i - 1],
+            }
+            for i in range(1, made.arm.count + 1)
+        },
+        "filling": made.definition(),
+    }
+    if curve is not None:
+        names = ("port_diameter_m", "supply", "supply_flow_m3_per_s", "largest_pressure_Pa")
+        rows = zip(curve.diameters, curve.strengths, curve.flows, curve.pressures, strict=True)
+        facts["curve"] = {
+            "duration_s": curve.duration,
+            "supply": curve.path,
+            "pairs": [dict(zip(names, row, strict=True)) for row in rows],
+        }
+    return json.dumps(plain_data(facts), indent=2)
+
+
+def filling_figure(filled: Filled) -> Figure:
+    """Fullness, pressure, lift and stiffness over time."""
+    end = f"full after {filled.duration / _MINUTE:.1f} min" if filled.finished else "never full"
+    figure = new_figure(9.0, 6.0, f"Filling {filled.filling.arm.count} links: {end}")
+    minutes = filled.times / _MINUTE
+    panels = {
+        "Fullness of each link": (filled.fullness, "volume over that when tight"),
+        "Pressure in each link": (filled.pressure, "Pa above the room"),
+        "Lift beyond each link's own weight": (filled.net_lift * 1e3, "g"),
+        "Bending stiffness of each link (assumed)": (filled.stiffness, "N m$^2$"),
+    }
+    for place, (title, (table, unit)) in enumerate(panels.items(), start=1):
+        axes = figure.add_subplot(2, 2, place)
+        _curves(axes, minutes, table)
+        plain(axes, title, "time (min)", unit)
+        if place == 2:
+            axes.legend(fontsize=8, frameon=False, loc="upper left")
+        if place == 3:
+            axes.axhline(0, color=GREY, linewidth=0.8)
+            if not np.isnan(filled.arm_lift_off):
+                when = filled.arm_lift_off / _MINUTE
+                axes.axvline(when, color=INK, linewidth=0.8, linestyle="--")
+                low, high = axes.get_ylim()
+                axes.set_ylim(low, high + 0.2 * (high - low))
+                said, above = f"the arm lifts itself: {when:.1f} min", high + 0.08 * (high - low)
+                small: Any = {"ha": "right", "fontsize": 8}
+                axes.annotate(said, (when, above), (-4, 0), textcoords="offset points", **small)
+    return figure
+
+
+def _curves(axes: Axes, minutes: Any, table: Any) -> None:
+    """A line for each link, from the base's colour to the tip's."""
+    last = table.shape[1] - 1
+    named = {0: "link 1 (base)", last: f"link {last + 1} (tip)"} if last else {0: "link 1"}
+    for index, row in enumerate(table.T):
+        colour = colormaps["viridis"](0.9 * index / max(last, 1))
+        axes.plot(minutes, row, color=colour, linewidth=1.1, label=named.get(index))
+
+
+def curve_figure(curve: FillingCurve) -> Figure:
+    """Port against supply, and the pressure that it costs."""
+    title = f"Ports and supplies with which filling takes {curve.duration / _MINUTE:g} min"
+    figure = new_figure(8.0, 3.4, title)
+    diameters = curve.diameters * 1e3
+    axes = figure.add_subplot(1, 2, 1)
+    axes.plot(curve.flows / _LITRE_PER_MINUTE, diameters, "o-", color=BLUE, ms=4)
+    port = "diameter of the ports (mm)"
+    plain(axes, "Port against supply", "flow of the supply when it begins (l/min)", port)
+    axes.set_ylim(bottom=0)
+    axes = figure.add_subplot(1, 2, 2)
+    axes.semilogy(diameters, curve.pressures, "o-", color=VERMILLION, ms=4)
+    plain(axes, "What it costs", port, "largest pressure in the first bag (Pa)")
+    axes.tick_params(which="both", labelsize=8)
+    return figure
