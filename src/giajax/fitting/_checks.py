@@ -125,13 +125,11 @@ _LITTLE = 5.0
 _ENOUGH = 0.8
 # Beyond this, in standard errors, an optimum is not said to follow a change of the residuals.
 _NEAR = 0.1
-# Against a finer one there is nothing but rounding to compare with.
-_FINEST = 1e-10
+_FINEST = 1e-10  # against a finer one there is nothing but rounding to compare with
 
 # A coordinate to which the residuals respond by less, in units of the noise, is no direction, ...
 _RESPONSE = 1e-2
-# ... nor is a combination that the data tell from the others by less than this.
-_SINGULAR = 1e-8
+_SINGULAR = 1e-8  # ... nor is a combination that the data tell from the others by less than this
 
 # A cost that is rough by more than this part of what a step promises may hide what it gains.
 _ROUGH = 0.01

@@ -139,8 +139,7 @@ class Bijector(eqx.Module):
 
 Row = Float[Array, " parameter"]
 
-# In widths: what ended nearer to a bound is seen from here.
-_INSIDE = 0.5
+_INSIDE = 0.5  # in widths: what ended nearer to a bound is seen from here
 
 # Of the range of a parameter: its width is at most this, so that the two bounds are apart.
 _MOST_OF_RANGE = 0.25

@@ -22,8 +22,7 @@ from ._statistics import Statistics, weighted_residuals
 from ._uncertainty import inverse_gram
 from ._weights import scores
 
-# A prior that says more than this of a parameter has set its standard error.
-_MOSTLY = 0.5
+_MOSTLY = 0.5  # a prior that says more than this of a parameter has set its standard error
 
 
 def check_proper(statistics: Statistics, lower: np.ndarray, upper: np.ndarray) -> None:

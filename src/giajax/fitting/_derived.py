@@ -132,8 +132,7 @@ def _bracketed(unit: str) -> str:
     return f"({unit})" if "/" in unit or " " in unit else unit
 
 
-# Part of a gradient in undetermined directions that is rounding of the Jacobian.
-_ROUNDING = 1e-5
+_ROUNDING = 1e-5  # part of a gradient in undetermined directions that is rounding of the Jacobian
 
 
 def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Estimate]:

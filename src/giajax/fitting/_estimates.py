@@ -22,23 +22,12 @@ from ._uncertainty import largest_correlations
 #
 # `docs/findings.md` has a section for each code.
 
-# Correlations beyond this leave little more than a combination of the two.
-_CORRELATED = 0.95
-
-# Many pairs are one cause: the worst ones show it.
-_MOST_PAIRS = 10
-
-# A third of a standard error's square, or of its symmetry.
-_BENT = 0.3
-
-# Standard deviations of a prior that the data have moved a parameter by.
-_AGAINST = 3.0
-
-# A prior that says more than this of a parameter.
-_MOSTLY = 0.5
-
-# Normal quantile of a one-sided interval of 95 %.
-_ONE_SIDED = 1.645
+_CORRELATED = 0.95  # correlations beyond this leave little more than a combination of the two
+_MOST_PAIRS = 10  # many pairs are one cause: the worst ones show it
+_BENT = 0.3  # a third of a standard error's square, or of its symmetry
+_AGAINST = 3.0  # standard deviations of a prior that the data have moved a parameter by
+_MOSTLY = 0.5  # a prior that says more than this of a parameter
+_ONE_SIDED = 1.645  # normal quantile of a one-sided interval of 95 %
 
 # Correlation times without which an estimate of the correlation, and all errors, are uncertain.
 _LONG_ENOUGH = 20.0
@@ -211,14 +200,12 @@ def _short(correlation_times: Sequence[tuple[str, float]]) -> Iterator[Finding]:
             )
 
 
-# Parameters that are more correlated than this are worth a remark.
-_NEARLY_THE_SAME = 0.98
+_NEARLY_THE_SAME = 0.98  # parameters that are more correlated than this are worth a remark
 
 
 _LEVEL = 0.95
 
-# Degrees of freedom from which Student's t is a normal distribution.
-_NORMAL = 1e9
+_NORMAL = 1e9  # degrees of freedom from which Student's t is a normal distribution
 
 
 def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> dict[str, Estimate]:

@@ -29,8 +29,7 @@ from ._result import FitResult, integration_of
 from ._statistics import Statistics, statistics
 from ._steps import CHANGED, FitJournal, FitState, Reason, begin, journal_writer, restored
 
-# Residuals of this many times the noise are worth a word.
-_NOTABLE = 1.15
+_NOTABLE = 1.15  # residuals of this many times the noise are worth a word
 
 
 def conclude(state: FitState, *, check: bool, max_iterations: int, began: float) -> FitResult:

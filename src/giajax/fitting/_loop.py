@@ -53,18 +53,14 @@ _FEW, _SOME, _LAST, _GAIN, _HALVED, _UNEXPLAINED = 6, 10, 5, 0.05, 1.0, 0.8
 # A step that is longer than this part of the longest one is on its way from a far start.
 _LONG = 0.99
 
-# Part of the cost that is not worth to be promised.
-_LITTLE = 0.01
-
-# Above this reduced chi-square something is missing.
-_MISFIT = 4.0
+_LITTLE = 0.01  # part of the cost that is not worth to be promised
+_MISFIT = 4.0  # above this reduced chi-square something is missing
 
 # In standard errors: as near to an optimum as a cost that is not smooth lets a fit come, and so
 # near that the linear model of the cost holds as far as the optimum.
 _NEAR, _LINEAR = 0.1, 1.0
 
-# Refused steps in a row that are no accident there.
-_REFUSED = 3
+_REFUSED = 3  # refused steps in a row that are no accident there
 
 
 def stopped_by(state: FitState) -> tuple[Reason, str] | None:

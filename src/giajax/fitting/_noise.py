@@ -97,11 +97,8 @@ def shared_and_own(state: FitState) -> tuple[list[int], set[int]]:
 # Residuals below this part of the largest recorded value are what a solver's tolerance leaves.
 TOLERANCE = 1e-5
 
-# Twice the gain in log-likelihood below which another noise is the same one.
-_SETTLED = 0.1
-
-# Weight below which a cell is an outlier: three deviations off.
-OUTLIER = 1 / 3
+_SETTLED = 0.1  # twice the gain in log-likelihood below which another noise is the same one
+OUTLIER = 1 / 3  # weight below which a cell is an outlier: three deviations off
 
 # Change of a robust deviation, in its logarithm, and mean change of weights, likewise.
 _SAME_DEVIATION = 0.05

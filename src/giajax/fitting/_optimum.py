@@ -220,8 +220,7 @@ def _evaluated(begun: FitState, noise: Noise) -> FitState:
 
 # Of scaled columns: eigenvalues below this, of the largest, are directions that nothing shows.
 _FLAT = 1e-10
-# Part of a parameter in such a direction from which it is not determined.
-_LOOSE = 0.01
+_LOOSE = 0.01  # part of a parameter in such a direction from which it is not determined
 
 
 @dataclasses.dataclass(frozen=True)

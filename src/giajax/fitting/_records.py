@@ -452,8 +452,7 @@ class HeldOut:
     channels: dict[str, HeldChannel]
 
 
-# More rows than this are no table to read; `runs[].parameters` has all of them.
-_MANY = 12
+_MANY = 12  # more rows than this are no table to read; `runs[].parameters` has all of them
 
 
 def rows_of_runs(runs: Sequence[RunFit], free: Mapping[str, Estimate]) -> dict[str, Estimate]:

@@ -22,8 +22,7 @@ from ._uncertainty import (
 )
 from ._weights import Priors
 
-# A parameter this close to its bound, in standard errors, is at it.
-_AT_BOUND = 0.1
+_AT_BOUND = 0.1  # a parameter this close to its bound, in standard errors, is at it
 
 # And this close in its own size: what is undetermined ends anywhere, and is at no bound.
 _NEAR = 0.05

@@ -70,8 +70,7 @@ Reason = Literal[
 """As `FitResult.reason` has it; empty in a file of an earlier version."""
 
 
-# How often the noise is estimated anew, unless it settles before.
-_NOISE_ROUNDS = 3
+_NOISE_ROUNDS = 3  # how often the noise is estimated anew, unless it settles before
 
 
 @dataclasses.dataclass(frozen=True)
@@ -213,8 +212,7 @@ _LARGEST_STEP = 1.5
 # seconds to compile: at the end of a fit they are asked for several times, and more finely.
 _LONG_STEP = 0.5
 
-# With so many rows a step is known to be long before any was timed.
-_MANY_ROWS = 5_000
+_MANY_ROWS = 5_000  # with so many rows a step is known to be long before any was timed
 
 # Where a fit begins that chooses its tolerance. Recordings with many rows tell more: a fit of them
 # would only find out, by two evaluations, that the first one is too coarse.
@@ -386,8 +384,7 @@ def _have_many_rows(batches: Iterable[RunBatch]) -> bool:
 # The numbers of the solver that its next step depends on, apart from what is evaluated anew.
 _SOLVER = ("damping", "growth", "scale", "step", "accepted", "detour", "finite", "evaluations")
 
-# Their names in a journal, where they are others.
-_STORED = {"finite": "sound"}
+_STORED = {"finite": "sound"}  # their names in a journal, where they are others
 
 # Attributes of a state that a line has as they are.
 _AS_THEY_ARE = ("trials", "done", "converged", "rounds_left", "round_began", "ending")

@@ -185,8 +185,7 @@ def inflow(gas: Gas, supply: Supply, pressure: Scalar, supplied: Scalar) -> Scal
 
 Floats = npt.NDArray[np.float64]
 
-# Half of the angle of the tube that is in wrinkles.
-_ANGLES = np.linspace(0, np.pi, 4001)[:-1]
+_ANGLES = np.linspace(0, np.pi, 4001)[:-1]  # half of the angle of the tube that is in wrinkles
 
 
 def stiff_share(load: Floats) -> Floats:

@@ -60,9 +60,7 @@ MASSES = (
     "point_masses.mass",
 )
 
-# C_D is referred to these (eq. 1).
-_DRAG_AREA = ("air.density", "links.length", "links.diameter")
-
+_DRAG_AREA = ("air.density", "links.length", "links.diameter")  # C_D is referred to these (eq. 1)
 _COMMANDED = (
     "counted from the clock of the commands, so that a lag of the drives would look the same"
 )

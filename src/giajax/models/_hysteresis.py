@@ -157,8 +157,7 @@ Numbers = int | tuple[float, ...]
 _ELASTIC = 0.7
 _KNEE = 4.0
 
-# A mesh a little larger than the input: a relay at its edge would never switch.
-_ROOM = 1.05
+_ROOM = 1.05  # a mesh a little larger than the input: a relay at its edge would never switch
 
 
 def hysteresis_keys(operator: str) -> list[str]:

@@ -150,11 +150,8 @@ def _pairs(
     return jax.vmap(at)(angles)
 
 
-# How far a balloon is drawn from the joint's centre, m: half of one link and more.
-_REACH = 1.0
-
-# Points of each half of the wire: enough for a bow.
-_WIRE_POINTS = 40
+_REACH = 1.0  # how far a balloon is drawn from the joint's centre, m: half of one link and more
+_WIRE_POINTS = 40  # points of each half of the wire: enough for a bow
 
 Points = Float[np.ndarray, "sample 2"]
 

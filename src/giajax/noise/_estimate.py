@@ -53,8 +53,7 @@ _LEAST_GAIN = 5.0
 # Twice the gain at the best of a few tries, below which no search from there ends above that.
 _PROMISING = 1.0
 
-# No statement on correlation is made from fewer cells.
-_FEWEST_SAMPLES = 20
+_FEWEST_SAMPLES = 20  # no statement on correlation is made from fewer cells
 
 # How a deviation is made of white noise and what is correlated, as an angle, rad: its cosine and
 # its sine, of which either may be next to nothing. Where one is, the likelihood depends on the

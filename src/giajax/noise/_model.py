@@ -181,11 +181,8 @@ def drawn(
     return noise + correlated * slow
 
 
-# 1.4826 median(|x|) estimates the standard deviation of a normal variable.
-MAD = 1.4826
-
-# Fewer second differences know no deviation.
-_FEWEST_DIFFERENCES = 8
+MAD = 1.4826  # 1.4826 median(|x|) estimates the standard deviation of a normal variable
+_FEWEST_DIFFERENCES = 8  # fewer second differences know no deviation
 
 
 def by_second_differences(values: np.ndarray) -> float | None:

@@ -84,8 +84,7 @@ def precision(
     return diagonal, -decay / fresh, -float(np.sum(np.log(fresh)))
 
 
-# Numbers that are passed over together, at most: what is near the processor.
-_TOGETHER = 2**17
+_TOGETHER = 2**17  # numbers that are passed over together, at most: what is near the processor
 
 
 @dataclasses.dataclass(frozen=True)
@@ -373,8 +372,7 @@ _ENOUGH = 3e-4
 _LONGEST = 1.0
 _ITERATIONS = 20
 
-# Where nothing at all is left, noise may be of any smallness: a logarithm.
-_FURTHEST = 8.0
+_FURTHEST = 8.0  # where nothing at all is left, noise may be of any smallness: a logarithm
 
 
 def best_scales(
@@ -408,8 +406,7 @@ def scaled(problem: Restricted, key: str, noise: ChannelNoise) -> ChannelNoise:
 # variance that V's errors give the estimates, and Student's t with Satterthwaite's degrees of
 # freedom takes the place of the normal distribution.
 
-# Of differences, in the logarithm of a parameter of the noise.
-_STEP = 0.03
+_STEP = 0.03  # of differences, in the logarithm of a parameter of the noise
 
 # White noise of less than this part of the correlated noise is at its bound of zero, and nothing
 # varies with it.

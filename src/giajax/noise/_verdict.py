@@ -16,11 +16,8 @@ from ._model import ChannelNoise, whitened
 # have the autocorrelations 1, -2/3 and 1/6.
 DIFFERENCES = 18 / 35
 
-# Deviations beyond which a cell is an outlier, for a loss that lets outliers stand.
-OUTLIER = 3.0
-
-# Second differences tell noise from motion where so many of them are there.
-_SHORT_SERIES = 16
+OUTLIER = 3.0  # deviations beyond which a cell is an outlier, for a loss that lets outliers stand
+_SHORT_SERIES = 16  # second differences tell noise from motion where so many of them are there
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,17 +159,13 @@ class Verdict:
 # accuse an adequate model.
 LEVEL = 0.02 / 6
 
-# Noise up by a tenth is worth a word.
-SIZE = 1.1
+SIZE = 1.1  # noise up by a tenth is worth a word
 
 # Lengths of the blocks whose means are compared with those of white noise, in cells.
 _BLOCKS = (2, 4, 8, 16, 32)
 
-# Blocks, at least, for a statement on them.
-_FEWEST_BLOCKS = 4
-
-# Cells of a series, at least, for a statement on it alone.
-_FEWEST_VALUES = 32
+_FEWEST_BLOCKS = 4  # blocks, at least, for a statement on them
+_FEWEST_VALUES = 32  # cells of a series, at least, for a statement on it alone
 
 
 def beyond_stated(series: Sequence[Series]) -> Reason | None:
@@ -341,8 +334,7 @@ def _block_means(series: Series, length: int) -> np.ndarray:
 
 _TESTS = (beyond_stated, correlated, beyond_differences, drift, runs_disagree)
 
-# Degrees of freedom below which nothing is said of a model.
-_FEWEST_RESIDUALS = 10
+_FEWEST_RESIDUALS = 10  # degrees of freedom below which nothing is said of a model
 
 
 def judge(series: Sequence[Series], *, robust: bool) -> Verdict:

@@ -109,8 +109,7 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
     return InputError(f"{source}: {name} = {value}{in_list} must be {must}: correct or remove it")
 
 
-# More keys than this are no list to read in a sentence.
-_MANY = 16
+_MANY = 16  # more keys than this are no list to read in a sentence
 
 
 def plain(value: Any) -> Any:

@@ -22,9 +22,7 @@ from ..schema import QUANTITIES
 from ._channels import Channel, nearest, parse_column, parse_columns
 from ._parquet import split_parquet
 
-# How far down a header is looked for: title, date, instrument, units.
-_LINES = 30
-
+_LINES = 30  # how far down a header is looked for: title, date, instrument, units
 _NUMERIC = re.compile(r"[+-]?([0-9]|\.[0-9]).*")
 _UNITS = frozenset(
     spelling.lower()
@@ -85,8 +83,7 @@ def _named(cells: Sequence[str]) -> bool:
         return False
 
 
-# Bytes in which the lines above a header are looked for.
-_TOP = 1 << 16
+_TOP = 1 << 16  # bytes in which the lines above a header are looked for
 
 
 def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:

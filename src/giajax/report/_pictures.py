@@ -81,8 +81,7 @@ def channels_together(run: Run, most: int) -> list[list[str]]:
     return list(together.values())
 
 
-# More matrix cells than this leave no room for a number in each.
-_MOST_NUMBERS = 16
+_MOST_NUMBERS = 16  # more matrix cells than this leave no room for a number in each
 
 
 def correlation_figure(result: FitResult) -> Figure:
@@ -116,8 +115,7 @@ def correlation_figure(result: FitResult) -> Figure:
 
 # More panels than this cannot be read on one screen.
 _MOST_PANELS = 24
-# Columns, up to so many panels.
-_COLUMNS = ((1, 1), (2, 8), (3, 15), (4, _MOST_PANELS))
+_COLUMNS = ((1, 1), (2, 8), (3, 15), (4, _MOST_PANELS))  # columns, up to so many panels
 
 # Of cells that were fitted, and of those that were held out.
 _SHADES = {False: GREY, True: VERMILLION}

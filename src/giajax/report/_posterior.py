@@ -26,9 +26,7 @@ from ._views import PageSection, RecordView, Table
 # More parameters than this are too small to see: those least like the linear interval stay.
 _MOST_PARAMETERS = 8
 
-# Of more draws the dots are a blot, and the file is large.
-_MOST_DOTS = 2000
-
+_MOST_DOTS = 2000  # of more draws the dots are a blot, and the file is large
 _BINS = 40
 
 _MOST_PANELS = 12
@@ -261,9 +259,7 @@ def _bands_table(runs: Sequence[Run], bands: Sequence[Mapping[str, Band]]) -> by
     return to_csv(columns)
 
 
-# A page stays below 5 MB; a larger picture is left in its file.
-_MOST_BYTES = 600_000
-
+_MOST_BYTES = 600_000  # a page stays below 5 MB; a larger picture is left in its file
 _PICTURES = {CORNER: "pairs of parameters", BANDS: "channels with the bands of the posterior"}
 
 

@@ -31,8 +31,7 @@ PROFILE_HEADINGS = ("quantity", "value", "error", "unit", "by the error", "by pr
 # More pictures than this are small print, and more plots a page that no phone opens.
 _MOST, _ACROSS, _MOST_ON_PAGE = 12, 3, 24
 
-# A picture ends so far above the deviance of the interval.
-_ABOVE = 1.6
+_ABOVE = 1.6  # a picture ends so far above the deviance of the interval
 
 
 class ProfileCurve(NamedTuple):

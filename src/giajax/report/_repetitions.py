@@ -191,8 +191,7 @@ RecordView(
 
 # More rows than these are a list to read in the file.
 _MOST_PARTS = 30
-# Columns in which numbers can still be read.
-_MOST_COLUMNS = 12
+_MOST_COLUMNS = 12  # columns in which numbers can still be read
 
 
 def influence_table(found: Influence, most: int | None = None) -> tuple[list[str], list[list[str]]]:

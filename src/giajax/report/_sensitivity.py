@@ -11,8 +11,7 @@ from ..recordings import Channel
 from ..studies import Sensitivity
 from ._style import BLUE, GREY, new_figure, plain, plain_colorbar
 
-# More names than this beside a map cannot be read.
-_MOST_NAMES = 25
+_MOST_NAMES = 25  # more names than this beside a map cannot be read
 
 
 def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: str = "") -> Figure:

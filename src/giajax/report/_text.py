@@ -142,11 +142,8 @@ def _noise(result: FitResult) -> list[str]:
     return [sentence]
 
 
-# More lines of residuals than this are summed up.
-_MANY = 8
-
-# Width of the labels of a summary.
-_LABEL = 20
+_MANY = 8  # more lines of residuals than this are summed up
+_LABEL = 20  # width of the labels of a summary
 
 
 def parameter_table(result: FitResult, width: int | None = None) -> str:

@@ -19,8 +19,7 @@ from .arrays import Array, Float
 # (`SmallWhileLoopHoistingPass`): two columns of so many numbers, and what counts them.
 _ROWS = 18
 
-# More loops than this take longer than what they are instead of.
-_LOOPS = 8
+_LOOPS = 8  # more loops than this take longer than what they are instead of
 
 
 def in_small_loops(

@@ -159,8 +159,7 @@ def worker_environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
-# With a scheduler that does not answer.
-_PATIENCE = "10s"
+_PATIENCE = "10s"  # with a scheduler that does not answer
 
 
 class InProcess(Executor):
@@ -276,11 +275,8 @@ def _connected(address: str) -> Iterator[Any]:
 ATTEMPTS = 3
 """So often is a task begun whose worker ends under it, but for those of a cluster."""
 
-# Tasks that wait at the workers of an executor that somebody else has made.
-_AHEAD = 256
-
-# Between two looks at whether the scheduler of a cluster is there, s.
-_BETWEEN_S = 2.0
+_AHEAD = 256  # tasks that wait at the workers of an executor that somebody else has made
+_BETWEEN_S = 2.0  # between two looks at whether the scheduler of a cluster is there, s
 
 
 class Execution(TypedDict, total=False):

@@ -13,8 +13,7 @@ from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
-# Some programs pass on to a child a signal that its terminal sends to both.
-_ONE_STROKE_S = 0.3
+_ONE_STROKE_S = 0.3  # some programs pass on to a child a signal that its terminal sends to both
 
 _first: int | None = None
 

@@ -7,11 +7,8 @@ from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from typing import Any
 
-# Digits of a value that has no standard error to say how many it deserves.
-_DIGITS = 6
-
-# Below this a number is written with an exponent: nobody counts five zeros.
-_LEAST_FIXED = 1e-4
+_DIGITS = 6  # digits of a value that has no standard error to say how many it deserves
+_LEAST_FIXED = 1e-4  # below this a number is written with an exponent: nobody counts five zeros
 
 
 def format_estimate(value: Any, standard_error: float | None) -> tuple[str, str]:

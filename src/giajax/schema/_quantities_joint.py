@@ -69,8 +69,7 @@ FRICTION = _Friction("friction")
 
 # A joint with muscles: geometry, torque, the corrections alpha and beta, and what drives it.
 
-# N m/deg^2 in N m/rad^2.
-_PER_SQUARE_DEGREE = float(np.rad2deg(1.0) ** 2)
+_PER_SQUARE_DEGREE = float(np.rad2deg(1.0) ** 2)  # N m/deg^2 in N m/rad^2
 
 
 def _along(key: str, default: float, doc: str, lower: float) -> Declaration:

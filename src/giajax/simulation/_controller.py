@@ -28,8 +28,7 @@ _STABLE: dict[type[diffrax.AbstractSolver], float] = {
     LinearlyImplicit: 2.0,
 }
 
-# Turns before the one part of a step and after the other are left in it.
-_SHORT, _LATE = 0.05, 0.9
+_SHORT, _LATE = 0.05, 0.9  # turns before the one part of a step and after the other are left in it
 
 # How far a step that is done again goes beyond the turn, so that the next one begins after it: the
 # derivatives of its first stage would be those of before the turn otherwise.

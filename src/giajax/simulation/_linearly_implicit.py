@@ -113,8 +113,7 @@ class QuinticInterpolation(diffrax.AbstractLocalInterpolation):
 # Whether the slope at the start of the next step is known, and the slope.
 Carried = tuple[Bool[Array, ""], State]
 
-# Slopes of all stages, and state and slope of the last one.
-Stages = tuple[Array, State, State]
+Stages = tuple[Array, State, State]  # slopes of all stages, and state and slope of the last one
 
 # The embedded method is so near to the method itself that its difference understates the error;
 # with these a tolerance means about the same error of an arm's motion as with Tsit5. The second is

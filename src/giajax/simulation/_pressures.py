@@ -102,8 +102,7 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
             _check_strength(arm.pneumatics, _reached(command)[:, by_angle])
 
 
-# So many angles at most, so that other commands need no other program.
-_ANGLES = 64
+_ANGLES = 64  # so many angles at most, so that other commands need no other program
 
 
 def _check_strength(pneumatics: Pneumatics, commanded: np.ndarray) -> None:

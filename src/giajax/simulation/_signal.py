@@ -14,11 +14,8 @@ import numpy as np
 from ..runtime.arrays import Array, Bool, Float, Scalar
 from ..runtime.text import InputError
 
-# Parts of a piece whose ends are compared with the cubic.
-_PARTS = 4
-
-# Beyond this, as a fraction of the largest value, no tolerance has use for a stretch.
-_ROUGH = 0.1
+_PARTS = 4  # parts of a piece whose ends are compared with the cubic
+_ROUGH = 0.1  # beyond this, as a fraction of the largest value, no tolerance has use for a stretch
 
 
 def corner_rows(times: np.ndarray, values: np.ndarray, allowed: float) -> np.ndarray:

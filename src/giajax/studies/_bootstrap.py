@@ -172,8 +172,7 @@ def binomial_interval(covered: int, asked: int) -> tuple[float, float]:
 # begin anywhere and go on at the first row after the last one, so that every row is as likely as
 # another. A row is one of all channels at an instant, whose residuals stay together.
 
-# Of a run: shorter ones would be as many blocks as nobody can shuffle.
-_LARGEST_SHARE = 1 / 3
+_LARGEST_SHARE = 1 / 3  # of a run: shorter ones would be as many blocks as nobody can shuffle
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,8 +21,7 @@ _REASON = (
     "begin there: free it in a fit"
 )
 
-# Of the noise of a channel: what the steps of an integrator change is far less.
-_NOTICED = 0.05
+_NOTICED = 0.05  # of the noise of a channel: what the steps of an integrator change is far less
 
 
 def is_disturbed(result: FitResult, runs: Sequence[Run], at: Sequence[Response]) -> bool:

@@ -50,8 +50,7 @@ CANDIDATES: dict[str, CandidateModel] = {
 """The models that may be chosen, by the names that `giajax choose` gives them."""
 
 
-# With fewer measured values than this a part of a run is no loop.
-_LEAST = 8
+_LEAST = 8  # with fewer measured values than this a part of a run is no loop
 
 
 def parted(run: Run, fraction: float) -> tuple[Run, Run]:

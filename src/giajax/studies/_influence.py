@@ -189,9 +189,7 @@ def without(optimum: Optimum, part: Part) -> Recorded:
     return left
 
 
-# Fits of a task, which share a program.
-_CHUNK = 16
-
+_CHUNK = 16  # fits of a task, which share a program
 _MOST_SPANS = 1000
 
 

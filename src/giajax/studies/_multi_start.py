@@ -45,8 +45,7 @@ from ._starts import (
 # An end whose misfit is this much above the best one, per measured value, is another optimum.
 SAME_END = 1e-3
 
-# And so is one that is this many standard errors away.
-_APART = 1.0
+_APART = 1.0  # and so is one that is this many standard errors away
 
 
 class DistinctOptimum(NamedTuple):

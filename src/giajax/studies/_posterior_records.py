@@ -25,9 +25,7 @@ from ._refit import StudyRecord
 
 Draws = Float[np.ndarray, "chain draw"]
 
-# Fewer draws of a half of a chain than this say nothing.
-_LEAST = 4
-
+_LEAST = 4  # fewer draws of a half of a chain than this say nothing
 _TAILS = (0.05, 0.95)
 
 
@@ -254,8 +252,7 @@ def doubts(
     return sentences
 
 
-# Where a normal variable is by 95 %, in deviations.
-NORMAL = 1.959964
+NORMAL = 1.959964  # where a normal variable is by 95 %, in deviations
 
 
 @dataclasses.dataclass(frozen=True)
@@ -373,9 +370,7 @@ class Posterior:
         return f"<Posterior: {len(self.labels)} parameters, {known.chains} x {known.draws} draws>"
 
 
-# Of 200 draws the ends of a 95 % interval are known to a tenth of its width.
-DRAWS = 200
-
+DRAWS = 200  # of 200 draws the ends of a 95 % interval are known to a tenth of its width
 _ENDS = (2.5, 50.0, 97.5)
 
 

@@ -35,11 +35,8 @@ _MOST_POINTS, _RETRIES = 40, 5
 # So many intervals away, where three steps raised the root by less than this: it is flat.
 _FAR, _RISE = 15.0, 0.05
 
-# A fall of the root that is no rounding: the points before it are not the best.
-_FALL = 0.02
-
-# A parameter this near to its bound, in its own size, is at it.
-_AT_BOUND = 1e-6
+_FALL = 0.02  # a fall of the root that is no rounding: the points before it are not the best
+_AT_BOUND = 1e-6  # a parameter this near to its bound, in its own size, is at it
 
 
 class PathPoint(NamedTuple):

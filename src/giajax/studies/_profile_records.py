@@ -135,8 +135,7 @@ def load_profiles(path: str | Path) -> Profiles:
     return parse_record(Profiles, text, Profiles.head, what, "make it anew")
 
 
-# A deviance this far below that of the fit is no rounding.
-LOWER = 0.01
+LOWER = 0.01  # a deviance this far below that of the fit is no rounding
 
 
 def interval_end(points: Sequence[ProfilePoint], side: int, reach: float) -> float | None:

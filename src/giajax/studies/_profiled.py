@@ -78,9 +78,7 @@ Quantity = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 _MOST = 40
 
-# Part of a unit of the noise that is not worth another step.
-_LITTLE = 1e-7
-
+_LITTLE = 1e-7  # part of a unit of the noise that is not worth another step
 _SHORTEST, _ROUNDING, _CORRECTIONS = 1e-9, 1e-12, 30
 
 
@@ -191,8 +189,7 @@ def _restored(
     return None
 
 
-# Of the size of what has no standard error: as far as a first step goes.
-_UNKNOWN = 0.1
+_UNKNOWN = 0.1  # of the size of what has no standard error: as far as a first step goes
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,8 +17,7 @@ from ..runtime.text import InputError
 from ..schema.parameters import elements, replace, switched_on
 from ..simulation import SimulationError
 
-# Column-normalised singular values below this are directions that no channel shows.
-_FLAT = 1e-8
+_FLAT = 1e-8  # column-normalised singular values below this are directions that no channel shows
 
 
 @dataclasses.dataclass(frozen=True)

@@ -238,8 +238,7 @@ MOST = 6
 TRIES = 3
 """Suspects that are fitted at each of them."""
 
-# Standard errors. BIC decides; what is further away need not be tried.
-_NEAR = 4.0
+_NEAR = 4.0  # Standard errors. BIC decides; what is further away need not be tried
 
 
 def ladder(

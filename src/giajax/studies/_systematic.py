@@ -104,8 +104,7 @@ def _shared(doubt: Doubt, asked: Inquiry) -> Doubt:
 _RANK = 1e-9
 # Of a cell that a robust loss leaves out: a weight of 0 would be no measurement.
 _LEAST_WEIGHT = 1e-12
-# Standard errors; what is moved by less is not moved.
-_NOTHING = 1e-6
+_NOTHING = 1e-6  # standard errors; what is moved by less is not moved
 
 
 def systematic_errors(

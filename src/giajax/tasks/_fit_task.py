@@ -90,8 +90,7 @@ if TYPE_CHECKING:
 
     Watch = Callable[[Setup], Callable[[Iteration], None]]
 
-# What `runs.windows` calls the first window of a run.
-_FIRST = " 0 s"
+_FIRST = " 0 s"  # what `runs.windows` calls the first window of a run
 
 
 def with_warm_start(
@@ -133,8 +132,7 @@ def with_warm_start(
     return dataclasses.replace(task, begin={**reached, "own": own})
 
 
-# Where results go by default.
-_OUT = Path("giajax-out")
+_OUT = Path("giajax-out")  # where results go by default
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,8 +21,7 @@ _PLACE = np.asarray([5.56961, 3.91454, 6.32711])
 _WIDTH = np.asarray([0.04694, 2.98417, 0.46406])
 # The curve goes on level outside; the points end at 0.1 and 8.5e6.
 _LOWEST, _HIGHEST = 0.01, 1e7
-# The Reynolds number at which `air.drag_coefficient` is meant.
-_REFERENCE = 1e5
+_REFERENCE = 1e5  # the Reynolds number at which `air.drag_coefficient` is meant
 
 
 def cylinder_drag_coefficient(reynolds: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

@@ -159,8 +159,7 @@ def _look(lines: Lines, places: Numbers) -> Nearest:
 
 T = TypeVar("T")
 
-# Pairs of links and boxes that are looked at together where no more are near each other.
-_FEW = 24
+_FEW = 24  # pairs of links and boxes that are looked at together where no more are near each other
 
 
 class Touch(NamedTuple):

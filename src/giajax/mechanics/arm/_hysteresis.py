@@ -12,8 +12,7 @@ from ..hysteresis import bouc_wen_rate
 PerJoint = Float[Array, " joint"]
 States = Float[Array, "row joint"]
 
-# Of the angles that a strain is the difference of, in units of their last place.
-_ROUNDING = 16
+_ROUNDING = 16  # of the angles that a strain is the difference of, in units of their last place
 
 
 class Stops(eqx.Module):

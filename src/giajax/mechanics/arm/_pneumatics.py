@@ -67,11 +67,8 @@ class MuscleDrive(eqx.Module):
 MUSCLE_BLEND = float(np.deg2rad(1.0))
 """Half-width about 0 within which alpha and beta join unless stated, rad."""
 
-# The largest angle as other conversions from degrees round it.
-_END = LARGEST_ANGLE * (1 + 1e-14)
-
-# A pressure as a state of the motion is in this unit, Pa: of the size of an angle.
-_UNIT = 1e5
+_END = LARGEST_ANGLE * (1 + 1e-14)  # the largest angle as other conversions from degrees round it
+_UNIT = 1e5  # a pressure as a state of the motion is in this unit, Pa: of the size of an angle
 
 
 class Pneumatics(eqx.Module):

@@ -40,15 +40,13 @@ def bouc_wen_rate(
     )
 
 
-# Substeps of a move that may be as long as the whole range.
-_LONG = 200
+_LONG = 200  # substeps of a move that may be as long as the whole range
 
 # Substeps within the width of the knee, in an inverse: RK4 is then right to about 1e-5.
 _PER_KNEE = 4.0
 _MOST = 4000
 
-# In widths of the knee: a longer substep is wrong, and one beyond 2.8 unstable.
-_COARSE = 2.0
+_COARSE = 2.0  # in widths of the knee: a longer substep is wrong, and one beyond 2.8 unstable
 
 
 class BoucWen(AbstractOperator):

@@ -11,8 +11,7 @@ from ...schema import BRANCH_COMPENSATOR
 from ...schema.parameters import is_concrete, parameter
 from ._operator import AbstractExactOperator, clip, play
 
-# With fewer rows than this a branch is no curve.
-_LEAST = 4
+_LEAST = 4  # with fewer rows than this a branch is no curve
 
 
 class MonotoneCurve(eqx.Module):

@@ -99,8 +99,7 @@ def history_by_steps(
 Method = Literal["scan", "associative"]
 METHODS = ("scan", "associative")
 
-# So many time steps are one turn of the loop: its own cost is then small beside theirs.
-_UNROLL = 4
+_UNROLL = 4  # so many time steps are one turn of the loop: its own cost is then small beside theirs
 
 
 def clip(value: Array, lower: Array, upper: Array) -> Array:
@@ -265,11 +264,8 @@ def check_thresholds(thresholds: Array, weights: Array | None = None) -> None:
         )
 
 
-# Each halves the bracket: after 60 of them it is below rounding.
-_HALVINGS = 60
-
-# So near to an end of the bracket, relative to its width, the end is the answer.
-_EDGE = 1e-12
+_HALVINGS = 60  # each halves the bracket: after 60 of them it is below rounding
+_EDGE = 1e-12  # so near to an end of the bracket, relative to its width, the end is the answer
 
 
 class InverseByBisection(AbstractExactOperator):

@@ -81,16 +81,14 @@ class Equilibria:
 # has one kink, and its extremum parts two roots.
 _INTERVALS = 600
 
-# More roots, or extrema, than a side of any pair can have.
-_MOST = 24
+_MOST = 24  # more roots, or extrema, than a side of any pair can have
 
 # Around a jump of the torque, as the printed beta has: how far from it its two sides are taken,
 # rad, which the search resolves, and from which rise between them (N m) on it is a jump.
 _BESIDE = 1e-12
 JUMP = 1e-9
 
-# An extra node on either side of a jump, relative to its angle.
-_APART = 1e-9
+_APART = 1e-9  # an extra node on either side of a jump, relative to its angle
 
 
 class Roots(eqx.Module):
@@ -187,8 +185,7 @@ def angles_to_search(pair: JointPair, ahead: bool) -> np.ndarray:
 _NO_TORQUE = 1e-12
 _NO_ANGLE = 1e-9
 
-# Where each array of a side has what belongs to the angle 0.
-_ZERO = -1
+_ZERO = -1  # where each array of a side has what belongs to the angle 0
 
 
 def equilibria(

@@ -12,8 +12,7 @@ from ...schema.parameters import is_concrete, parameter
 
 Shaped = Float[Array, "*shape"]
 
-# How far the joint bends (table 2), rad.
-LARGEST_ANGLE = float(np.deg2rad(60.0))
+LARGEST_ANGLE = float(np.deg2rad(60.0))  # how far the joint bends (table 2), rad
 
 Point = tuple[Array, Array]
 

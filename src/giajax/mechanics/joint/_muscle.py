@@ -54,8 +54,7 @@ class PressureAnswer(eqx.Module):
 PressureAndGain = tuple[Shaped, Shaped]
 """Pressure for a force, Pa, and the force gained per pascal, N/Pa."""
 
-# Below this (N) a force is the rounding of zero, not a push.
-_NO_FORCE = 1e-9
+_NO_FORCE = 1e-9  # below this (N) a force is the rounding of zero, not a push
 
 
 class AbstractMuscle(eqx.Module):

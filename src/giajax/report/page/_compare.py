@@ -16,8 +16,7 @@ _WIDTH, _HEIGHT = 360.0, 15.0
 
 _COLOURS = (BLUE, VERMILLION, GREEN, INK, GREY, PURPLE, ORANGE, SKY)
 
-# So many joint standard errors are a difference.
-_DIFFERENT = 3.0
+_DIFFERENT = 3.0  # so many joint standard errors are a difference
 
 
 class _Bar(NamedTuple):

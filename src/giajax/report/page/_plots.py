@@ -72,8 +72,7 @@ def thinned(columns: Sequence[Float[np.ndarray, " sample"]], most: int) -> Int[n
     return np.array(sorted(kept))
 
 
-# As three coordinates of one point, or as one channel.
-_COLOURS = (BLUE, VERMILLION, GREEN)
+_COLOURS = (BLUE, VERMILLION, GREEN)  # as three coordinates of one point, or as one channel
 
 
 def curve_item(label: str, over: Sequence[float], values: Sequence[float], *, log: bool) -> str:
@@ -115,8 +114,7 @@ def colour_of(place: int, channel: Channel, several: bool) -> str:
     return _COLOURS[(place if channel.component is None else channel.component) % len(_COLOURS)]
 
 
-# Each parameter costs a prediction; the program for it is compiled already.
-_MOST_PARAMETERS = 12
+_MOST_PARAMETERS = 12  # each parameter costs a prediction; the program for it is compiled already
 
 
 def can_have_bands(result: FitResult) -> bool:

@@ -18,11 +18,8 @@ from ...recordings import Run
 from ...runtime.page_policy import with_policy
 from ...simulation import SimulationError
 
-# As many as an eye follows; more make the page larger and no clearer.
-_MOST_FRAMES = 240
-
-# Coordinates are integers of this range: an eye sees a thousandth.
-_GRID = 4095
+_MOST_FRAMES = 240  # as many as an eye follows; more make the page larger and no clearer
+_GRID = 4095  # coordinates are integers of this range: an eye sees a thousandth
 
 
 class Arm(NamedTuple):
@@ -85,8 +82,7 @@ def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) 
 
 _FOLDER = files(__package__) / "templates"
 
-# More names than this are no title.
-_MOST_NAMES = 3
+_MOST_NAMES = 3  # more names than this are no title
 
 
 def rendered(template: str, *, plots: bool, **facts: Any) -> bytes:

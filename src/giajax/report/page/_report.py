@@ -47,8 +47,7 @@ from ._tables import (
 # out that are off by so many times what they should be, are worth a sentence.
 _CORRELATED, _VAGUE, _FAR_OFF = 0.9, 0.1, 1.5
 
-# A shift of a held number, or of the tolerance, by this many standard errors is too.
-_NOTABLE = 0.5
+_NOTABLE = 0.5  # a shift of a held number, or of the tolerance, by this many standard errors is too
 
 # Findings that the parameters' own sentences here say already.
 _SAID = ("no_response", "correlated")
@@ -184,8 +183,7 @@ def _has_wrong_derivatives(result: FitResult) -> bool:
 # Panels of all runs together, and numbers in all of them: some 3 MB.
 _MOST_PANELS, _MOST_VALUES = 24, 420_000
 
-# More suspects than this are a list to read with `giajax suspects`.
-_MOST_SUSPECTS = 8
+_MOST_SUSPECTS = 8  # more suspects than this are a list to read with `giajax suspects`
 
 
 class _RunPart(NamedTuple):
