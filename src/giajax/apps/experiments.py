@@ -464,7 +464,7 @@ def bouc_wen_benchmark(seed: int = 0) -> BoucWenBenchmark:
         definition={"truth": truth},
         name="bouc_wen_multisine",
     )
-    times, force = sweep()
+    times, force = _sweep()
     about: Any = {"definition": {"truth": truth}, "name": "bouc_wen_sweep"}
     model = OscillatorModel().refined(1e-3)
     swept = synthesise(model, times, {"input": force}, ["output"], **about)
@@ -480,7 +480,7 @@ def multisine(random: np.random.Generator) -> npt.NDArray[np.float64]:
     return np.asarray(50 * force / np.sqrt(np.mean(force**2)))
 
 
-def sweep() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _sweep() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Times (s) and force (N) of a sine of 40 N from 20 to 50 Hz, 10 Hz a minute."""
     growth = 10 / 60
     times = np.arange(0, 30 / growth, 1 / _RATE)
