@@ -1,15 +1,12 @@
 """Sensitivities as pictures and tables: over time, and the information in each body."""
 
-import csv
-import io
-
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from ..recordings import Channel
 from ..studies import Sensitivity
-from ._style import BLUE, GREY, new_figure, plain, plain_colorbar
+from ._style import BLUE, GREY, columns_of, new_figure, plain, plain_colorbar, to_csv
 
 _MOST_NAMES = 25  # more names than this beside a map cannot be read
 
@@ -77,25 +74,25 @@ def sensitivity_files(sensitivity: Sensitivity, noise: npt.ArrayLike) -> dict[st
     times = [""] * len(sensitivity.predicted)
     if sensitivity.times is not None:
         times = [f"{time:.9g}" for time in sensitivity.times]
-    over_time = [["parameter", "unit", "time_s", *columns]]
-    for about, table in zip(parameters, sensitivity.derivatives, strict=True):
-        for time, row in zip(times, table, strict=True):
-            over_time.append([*about, time, *(f"{value:.8g}" for value in row)])
+    over_time = [
+        [*about, time, *(f"{value:.8g}" for value in row)]
+        for about, table in zip(parameters, sensitivity.derivatives, strict=True)
+        for time, row in zip(times, table, strict=True)
+    ]
     shares, alone = information_shares(sensitivity, noise), sensitivity.errors_by_body(noise)
-    by_body = [["parameter", "unit", "body", "share_percent", "standard_error_alone"]]
+    by_body: list[list[str]] = []
     for column, about in enumerate(parameters):
         for row, name in enumerate(sensitivity.bodies()):
             share = f"{100 * shares[row, column]:.6g}"
             by_body.append([*about, name, share, _finite(alone[row, column])])
         together = sensitivity.standard_errors(noise)[column]
         by_body.append([*about, "all", "100", _finite(together)])
-    return {"sensitivity.csv": _csv(over_time), "information.csv": _csv(by_body)}
-
-
-def _csv(rows: list[list[str]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
+    headings = ["parameter", "unit", "body", "share_percent", "standard_error_alone"]
+    tables = {
+        "sensitivity.csv": columns_of(["parameter", "unit", "time_s", *columns], over_time),
+        "information.csv": columns_of(headings, by_body),
+    }
+    return {name: to_csv(table).decode() for name, table in tables.items()}
 
 
 def _finite(value: float) -> str:

@@ -261,19 +261,16 @@ class _Progress:
 
     def __init__(self, progress: Callable[[int, int], None] | None, chains: int, each: int) -> None:
         self._progress, self._each, self._total = progress, each, chains * each
-        self._finished = self._begun = 0
+        self._reached = 0
 
     def moved(self, transitions: int) -> None:
-        self._begun += transitions
-        self._say(self._finished * self._each + self._begun)
+        self._reached += transitions
+        if self._progress is not None:
+            self._progress(self._reached, self._total)
 
     def done(self, outcome: Outcome, done: int, total: int) -> None:
-        self._finished, self._begun = done, 0
-        self._say(done * self._each)
-
-    def _say(self, transitions: int) -> None:
-        if self._progress is not None:
-            self._progress(transitions, self._total)
+        self._reached = done * self._each
+        self.moved(0)
 
 
 def _begun(density: Density, fitted: Fitted, number: int, seed: int) -> Begun:

@@ -12,8 +12,10 @@ from ._journal import checksums_of, differences, read_journal, unchanged
 from ._stored import check_config, reached_by, repeatable, without
 
 if TYPE_CHECKING:
-    from ..fitting import FitResult, Iteration
+    from ..fitting import FitResult, Iteration, Setup
     from ._preparation import Preparation
+
+    Watch = Callable[[Setup], Callable[[Iteration], None]]
 
 Paths = str | Path | Sequence[str | Path]
 
@@ -84,11 +86,6 @@ def plain_of(task: "FitTask") -> dict[str, Any]:
 # The cost of a long recording of something that swings has many local minima: with a frequency
 # that is off, the model is out of step soon, and stays so. In a window of a few periods, which
 # begins in a state of its own, it has no time for that.
-
-if TYPE_CHECKING:
-    from ..fitting import FitResult, Iteration, Setup
-
-    Watch = Callable[[Setup], Callable[[Iteration], None]]
 
 _FIRST = " 0 s"  # what `runs.windows` calls the first window of a run
 

@@ -205,8 +205,11 @@ def _taken(path: Path) -> int:
             if fcntl is not None:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            holder = _holder(descriptor)
+            words = b""
+            with contextlib.suppress(OSError):
+                words = os.read(descriptor, 200).strip()
             os.close(descriptor)
+            holder = words.decode(errors="replace") or "its process is not known"
             raise InputError(
                 f"another fit is writing to {path.parent} ({holder}): wait until it has ended, "
                 "or give another folder"
@@ -223,13 +226,6 @@ def _taken(path: Path) -> int:
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
     return descriptor
-
-
-def _holder(descriptor: int) -> str:
-    words = ""
-    with contextlib.suppress(OSError):
-        words = os.read(descriptor, 200).decode(errors="replace").strip()
-    return words or "its process is not known"
 
 
 JOURNAL = "journal.jsonl"
@@ -403,7 +399,7 @@ class _Head:
 class _State:
     """A state of a fit; the rest of it is read when the fit goes on."""
 
-    __pydantic_config__ = ConfigDict(extra="ignore")
+    __pydantic_config__ = _OTHERS
     fit: int
     ending: tuple[str, str, str] | None
 

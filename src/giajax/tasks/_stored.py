@@ -171,7 +171,14 @@ def _read_again(
     for record, about in zip(records, several, strict=True):
         path = others.get(record.sha256, record.path if not data else None)
         if path is None:
-            raise InputError(_missing(record, data))
+            files = ", ".join(map(str, data))
+            raise InputError(
+                f"'{record.name}' was made in memory and has no file: use Python, whose functions "
+                "take the run itself"
+                if record.path is None
+                else f"{files} have not the content of {record.path}, which was fitted: give that "
+                "file"
+            )
         if not data and not Path(path).exists():
             raise InputError(f"{path}, which was fitted, does not exist: give the file with --data")
         known = {key: item for key, item in about.items() if key in run_keys(model=False)}
@@ -194,13 +201,3 @@ def _read_again(
             run = rows_of(run, slice(first, first + int(about["rows"])), record.name)
         parts.append(split_run(run, about.get("held_from", {})))
     return parts
-
-
-def _missing(record: "RunFit | HeldOut", data: Sequence[str | Path]) -> str:
-    if record.path is None:
-        return (
-            f"'{record.name}' was made in memory and has no file: use Python, "
-            "whose functions take the run itself"
-        )
-    named = ", ".join(map(str, data))
-    return f"{named} have not the content of {record.path}, which was fitted: give that file"

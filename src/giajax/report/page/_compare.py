@@ -1,7 +1,7 @@
 """The page about several results."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any
 
 from ...fitting import FitResult
 from ...studies import Contrast, ContrastRow
@@ -17,17 +17,6 @@ _WIDTH, _HEIGHT = 360.0, 15.0
 _COLOURS = (BLUE, VERMILLION, GREEN, INK, GREY, PURPLE, ORANGE, SKY)
 
 _DIFFERENT = 3.0  # so many joint standard errors are a difference
-
-
-class _Bar(NamedTuple):
-    """One estimate in the picture of a parameter: pixels, and its words."""
-
-    low: float
-    middle: float
-    high: float
-    across: float
-    colour: str
-    text: str
 
 
 def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
@@ -92,8 +81,8 @@ def _apart(found: Contrast) -> list[str]:
     ]
 
 
-def _bars(row: ContrastRow, names: Sequence[str]) -> list[_Bar]:
-    """Values with two standard errors on an axis of their own; held ones are ticks."""
+def _bars(row: ContrastRow, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Values with two standard errors on an axis of their own, in pixels; held ones are ticks."""
     known = [
         (index, one.value, 2 * (one.standard_error or 0.0))
         for index, one in enumerate(row.estimates)
@@ -105,13 +94,13 @@ def _bars(row: ContrastRow, names: Sequence[str]) -> list[_Bar]:
     high = max(value + width for _, value, width in known)
     scale = (_WIDTH - 20) / ((high - low) or 1.0)
     return [
-        _Bar(
-            low=10 + (value - width - low) * scale,
-            middle=10 + (value - low) * scale,
-            high=10 + (value + width - low) * scale,
-            across=_HEIGHT * (index + 0.5) + 3,
-            colour=_COLOURS[index % len(_COLOURS)],
-            text=f"{names[index]}: {value:.6g}",
-        )
+        {
+            "low": 10 + (value - width - low) * scale,
+            "middle": 10 + (value - low) * scale,
+            "high": 10 + (value + width - low) * scale,
+            "across": _HEIGHT * (index + 0.5) + 3,
+            "colour": _COLOURS[index % len(_COLOURS)],
+            "text": f"{names[index]}: {value:.6g}",
+        }
         for index, value, width in known
     ]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...fitting import Estimate, FitResult, in_column_units, matching_runs
+from ...fitting import FitResult, in_column_units, matching_runs
 from ...models import capabilities
 from ...recordings import Run
 from ...runtime.records import plain_data
@@ -123,7 +123,11 @@ def _held_numbers(result: FitResult) -> list[str]:
 
 def _precision(result: FitResult) -> list[str]:
     said = []
-    known = {path: share for path, one in result.free.items() if (share := _share(one)) is not None}
+    known = {
+        path: abs(one.standard_error / one.value)
+        for path, one in result.free.items()
+        if one.standard_error is not None and isinstance(one.value, float) and one.value
+    }
     if known:
         worst = max(known, key=lambda path: known[path])
         if known[worst] > _VAGUE:
@@ -139,12 +143,6 @@ def _precision(result: FitResult) -> list[str]:
         )
     said += [one.sentence for one in result.findings if one.code not in _SAID]
     return said
-
-
-def _share(one: Estimate) -> float | None:
-    if one.standard_error is None or not isinstance(one.value, float) or not one.value:
-        return None
-    return abs(one.standard_error / one.value)
 
 
 def _prediction(result: FitResult) -> list[str]:
@@ -216,7 +214,6 @@ def report_page(
     bands = can_have_bands(result)
     parts = _run_parts(result, runs, predictions, held_out, bands=bands)
     parameters = parameter_rows(result)
-    suspects = Table(list(SUSPECT_HEADINGS), first_suspects(result, _MOST_SUSPECTS), 1)
     return rendered(
         "report.html",
         plots=True,
@@ -224,10 +221,10 @@ def report_page(
         result=result,
         opening=opening(result),
         parameters=parameters,
-        places={row.path: index for index, row in enumerate(parameters, 1)},
+        places={row["path"]: index for index, row in enumerate(parameters, 1)},
         has_systematic=any(error.stated for error in result.systematic),
         has_sources=any(one.sources for one in result.free.values()),
-        suspects=suspects,
+        suspects=Table(list(SUSPECT_HEADINGS), first_suspects(result, _MOST_SUSPECTS), 1),
         systematic=Table(*systematic_table(result), 1) if result.systematic else None,
         parts=parts,
         bands=bands,

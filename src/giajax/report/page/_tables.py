@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...fitting import (
-    Estimate,
     FitResult,
     HeldOut,
     PredictionErrors,
@@ -53,25 +52,11 @@ def _cell(value: float | None, about: str) -> Cell:
     return Cell(correlation_text(value), f"#{mixed}", ink, f"{about}: {value:+.4f}")
 
 
-class ParameterRow(NamedTuple):
-    """One parameter, as text; `exact` is the value in all digits."""
+def parameter_rows(result: FitResult) -> list[dict[str, Any]]:
+    """What was fitted, what follows from it, and what the settings hold; in the columns' units.
 
-    path: str
-    value: str
-    exact: str
-    statistical: str
-    systematic: str
-    both: str
-    unit: str
-    interval: str
-    bounds: str
-    sources: str
-    remark: str
-    free: bool
-
-
-def parameter_rows(result: FitResult) -> list[ParameterRow]:
-    """What was fitted, what follows from it, and what the settings hold; in the columns' units."""
+    Each as text, by what it is called in the template; `exact` is the value in all digits.
+    """
     factors = column_factors(result.model)
     stated = together(result.systematic)
     rows = []
@@ -82,29 +67,16 @@ def parameter_rows(result: FitResult) -> list[ParameterRow]:
         systematic, both = _times(stated.get(path), factor), None
         if systematic is not None and one.standard_error is not None:
             both = float(np.hypot(systematic, one.standard_error))
-        rows.append(
-            ParameterRow(
-                path=path,
-                value=value,
-                exact=json.dumps(one.value),
-                statistical=error,
-                systematic=format_number(systematic, ".2g"),
-                both=format_number(both, ".2g"),
-                unit=one.unit or "-",
-                interval=_interval(one, factor),
-                bounds=format_bounds(one.lower, one.upper),
-                sources=_sources(one.sources),
-                remark=one.remark,
-                free=one.free,
-            )
-        )
+        ends: list[float] = []
+        if one.interval is not None and None not in one.interval:
+            ends = sorted(end * factor for end in one.interval)
+        row: dict[str, Any] = {"path": path, "value": value, "exact": json.dumps(one.value)}
+        row |= {"statistical": error, "systematic": format_number(systematic, ".2g")}
+        row |= {"both": format_number(both, ".2g"), "unit": one.unit or "-"}
+        row["interval"] = format_range(ends) if ends else "-"
+        row |= {"bounds": format_bounds(one.lower, one.upper), "sources": _sources(one.sources)}
+        rows.append(row | {"remark": one.remark, "free": one.free})
     return rows
-
-
-def _interval(one: Estimate, factor: float) -> str:
-    if one.interval is None or None in one.interval:
-        return "-"
-    return format_range(sorted(end * factor for end in one.interval))
 
 
 def _sources(sources: Mapping[str, float | None]) -> str:
