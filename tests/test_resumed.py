@@ -197,7 +197,8 @@ def test_other_commands_write_the_same_again(tmp_path, monkeypatch):
     }
     for path, command in commands.items():
         assert main([*command.split(), "--force"]) == 0
-        assert_near(record(f"again/{Path(path).name}"), record(path))
+        # Tests optimise programs less than commands do, which rounds otherwise.
+        assert_near(record(f"again/{Path(path).name}"), record(path), near=1e-5)
     words = "drive drive/arm.toml --replay drive/pad.csv --noise position_m=0.01 --out again.csv"
     assert main(words.split()) == 0
     before = read_run("drive/drive.csv")
