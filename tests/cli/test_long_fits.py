@@ -209,27 +209,28 @@ def test_a_budget_ends_with_the_best_so_far(folder, plain):
 
 
 @pytest.mark.slow
-def test_a_budget_in_a_definition(folder):
+def test_a_budget_in_a_definition(folder, capsys):
     path = folder / "loops_fit.toml"
     path.write_text(path.read_text().replace("[fit]", '[fit]\nbudget = "0s"'))
-    status, out, _ = ended(process(*FIT))
-    assert (status, "the budget of 0 s ended the fit after 0 iterations" in out) == (1, True)
+    assert main([*FIT]) == 1
+    assert "the budget of 0 s ended the fit after 0 iterations" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_again_and_from(folder, plain):
-    assert ended(process(*FIT))[0] == 0
-    status, out, err = ended(process("fit", "--again", "out/result.json", "--no-figures"))
-    assert (status, "the numbers are the same, bit for bit" in out) == (0, True), err
-    assert numbers("out-again") == plain
-    words = [*FIT[:-1], "on", "--from", "out", "--free", "elastic"]
-    status, out, _ = ended(process(*words))
-    assert status == 0
+def test_again_and_from(folder, capsys):
+    assert main([*FIT]) == 0
+    first = numbers("out")
+    assert main(["fit", "--again", "out/result.json", "--no-figures"]) == 0
+    assert "the numbers are the same, bit for bit" in capsys.readouterr().out
+    assert numbers("out-again") == first
+    assert main([*FIT[:-1], "on", "--from", "out", "--free", "elastic"]) == 0
     assert load_result("on").parameters["weights"].value == [
-        plain["parameters"]["weights[0]"]["value"]
+        first["parameters"]["weights[0]"]["value"]
     ]
-    status, out, _ = ended(process("fit", "--resume", "out"))
-    assert (status, out.startswith("the fit in out has ended, and there is nothing")) == (0, True)
+    capsys.readouterr()
+    assert main(["fit", "--resume", "out"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("the fit in out has ended, and there is nothing")
 
 
 WRONG = {
