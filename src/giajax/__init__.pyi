@@ -141,6 +141,7 @@ from .report import (
     write_result as write_result,
 )
 from .runtime.parallel import map_on_cores as map_on_cores
+from .runtime.plugins import register as register
 from .runtime.text import InputError as InputError, __version__ as __version__
 from .schema import KINDS as KINDS, Prior as Prior
 from .schema.parameters import declared as declared, get as get, replace as replace

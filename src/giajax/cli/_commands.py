@@ -15,6 +15,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from ..runtime.files import check_path
+from ..runtime.plugins import load_plugin
 from ..runtime.signals import stopped_status
 from ..runtime.text import InputError, abridged, shown
 from ._values import number
@@ -50,6 +51,16 @@ def argument(metavar: str, text: str) -> Any:
     return typer.Argument(metavar=metavar, help=text)
 
 
+_PLUGINS = Parameter(
+    "plugin",
+    Parameter.KEYWORD_ONLY,
+    default=None,
+    annotation=Annotated[
+        Paths, "FILE.py", "Import a law or a model of yours, which the file registers."
+    ],
+)
+
+
 def with_options(function: Function, settings_after: str = "") -> Function:
     """The function of a command as typer reads it, with an option for each parameter."""
     parameters: list[Parameter] = []
@@ -64,8 +75,12 @@ def with_options(function: Function, settings_after: str = "") -> Function:
         else:
             parameters.append(each.replace(kind=Parameter.KEYWORD_ONLY))
 
+    parameters.append(_PLUGINS)
+
     @functools.wraps(function)
-    def whole(**given: Any) -> None:
+    def whole(plugin: Paths = None, **given: Any) -> None:
+        for path in plugin or ():
+            load_plugin(path)
         function(**given)
 
     return with_signature(whole, [_with_option(each) for each in parameters])

@@ -7,14 +7,16 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
-from typing import Unpack
+from typing import Any, Unpack
 
+import equinox as eqx
 import jax
 import numpy as np
 
 from ..models import AbstractModel, capabilities
 from ..noise import ChannelNoise, gains
 from ..recordings import FitKeywords, FitSettings, Run, fit_settings
+from ..runtime.plugins import sources_of
 from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
 from ._checks import Checks, checks
@@ -83,11 +85,20 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         tolerance_effect=done.tolerance,
         conditions=tuple(capabilities.conditions(model, moved, setup.runs)),
         seconds=Seconds(compile=compiling, run=elapsed - compiling),
-        versions=versions(),
+        versions={**versions(), **sources_of(*_classes(model))},
         config={**setup.config, "max_iterations": max_iterations},
         history=state.history,
         predictions=tuple(predictions),
     )
+
+
+def _classes(model: AbstractModel) -> set[type]:
+    """Of a model and all of its parts."""
+    parts: list[Any] = [model]
+    for part in parts:
+        inside = vars(part).values() if isinstance(part, eqx.Module) else part
+        parts += [each for each in inside if isinstance(each, eqx.Module | tuple)]
+    return {type(part) for part in parts if isinstance(part, eqx.Module)}
 
 
 def _lengths(state: FitState) -> list[tuple[str, float]]:

@@ -13,6 +13,7 @@ import numpy as np
 from ..models import AbstractModel, Channels, build_model, capabilities
 from ..noise import Verdict
 from ..recordings import SCHEMA_VERSION, Run, stored_result
+from ..runtime.plugins import hint
 from ..runtime.programs import program
 from ..runtime.records import from_plain, json_text
 from ..runtime.text import InputError
@@ -292,8 +293,8 @@ def load_result(path: str | Path) -> FitResult:
     values = {path: estimate.value for path, estimate in fields["parameters"].items()}
     try:
         return _of(fields, build_model(kind, fields["config"]["definition"], values))
-    except InputError:
-        raise
+    except InputError as error:
+        raise InputError(f"{error}{hint(fields['versions'])}") from None
     except (ValueError, LookupError, ArithmeticError, TypeError, AttributeError):
         raise InputError(f"{what} (its parameters are not those of its model): {_REMEDY}") from None
 

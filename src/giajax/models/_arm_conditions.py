@@ -78,6 +78,8 @@ def scale_conditions(
     fitted = {path.partition("[")[0] for path in free}
     kinds = {channel.kind for run in runs for channel in run.channels.values()}
     present = declared(model)
+    if arm.air.law is not None:
+        del present["air.drag_coefficient"]
     strengths = [p for p in STRENGTHS if p in present and "joint_pressure_first" in kinds]
     scaled = [path for path in free if path.partition("[")[0] in (*SCALE, *strengths)]
     # A known force sets the scale: a drive's torque, the lift of displaced air, or the push of
@@ -109,6 +111,11 @@ def scale_conditions(
     area = [path for path in _DRAG_AREA if path not in fitted]
     if "air.drag_coefficient" in fitted and area:
         sentences.append(f"air.drag_coefficient: holds for {_values(model, area)}")
+    if own := sorted(path for path in fitted if path.startswith("air.law.")):
+        sentences.append(
+            f"{', '.join(own)}: not checked, because a law of drag does not say how its force "
+            "depends on them; masses, inertias and all forces together scale as everywhere"
+        )
     if "point_masses.drag_area" in fitted and "air.density" not in fitted:
         density = _values(model, ["air.density"])
         sentences.append(f"point_masses.drag_area: holds for {density}")
@@ -166,7 +173,16 @@ _ADDED = AIR.added_mass_coefficient
 def arm_variants(arm: Arm) -> dict[str, Arm]:
     """Arms that differ in one choice of `[arm]`, by the key and the value that make them."""
     others, air = {}, arm.air
-    if air.drag == "centre":
+    if air.law is not None:
+        # Instead of a law of one's own, those of giajax; what differs in words differs in those.
+        usual = AIR.drag_coefficient
+        air = dataclasses.replace(air, law=None, drag="strip")
+        shipped = replace(dataclasses.replace(arm, air=air), {usual.path: usual.default})
+        others["arm.drag = strip"], air = shipped, shipped.air
+        others["arm.drag = centre"] = dataclasses.replace(
+            arm, air=dataclasses.replace(air, drag="centre")
+        )
+    elif air.drag == "centre":
         others["arm.drag = strip"] = dataclasses.replace(
             arm, air=dataclasses.replace(air, drag="strip")
         )
@@ -174,10 +190,12 @@ def arm_variants(arm: Arm) -> dict[str, Arm]:
         # Drag at the centres has the velocity along a link already.
         centre = dataclasses.replace(air, drag="centre", axial_coefficient=None)
         others["arm.drag = centre"] = dataclasses.replace(arm, air=centre)
-    curve = "cylinder" if air.drag_curve == "constant" else "constant"
-    others[f"arm.drag_curve = {curve}"] = dataclasses.replace(
-        arm, air=dataclasses.replace(air, drag_curve=curve)
-    )
+    if arm.air.law is None:
+        curve = "cylinder" if air.drag_curve == "constant" else "constant"
+        others[f"arm.drag_curve = {curve}"] = dataclasses.replace(
+            arm, air=dataclasses.replace(air, drag_curve=curve)
+        )
+    air = arm.air
     if arm.joints.hysteresis.memory.strength is None:
         strength = JOINT_MEMORY.strength
         name = f"{strength.path} = {strength.default:g} {strength.unit}"
@@ -195,7 +213,7 @@ def arm_variants(arm: Arm) -> dict[str, Arm]:
         # engines it is inertia alone; and drag that is wrong along a link hides what it does.
         inertia = f"arm.added_mass = inertia, {_ADDED.path} = {_ADDED.default:g}"
         others[inertia] = _displacing(arm, dataclasses.replace(air, added_mass="inertia"))
-        if air.drag == "centre":
+        if air.drag == "centre" and air.law is None:
             both = dataclasses.replace(air, drag="strip", added_mass="inertia")
             others[f"arm.drag = strip, {inertia}"] = _displacing(arm, both)
     if arm.buoyancy is None:

@@ -1,5 +1,6 @@
 """An arm, its sensors and what stands around it, from the sections of a file, and back."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from inspect import signature
 from typing import Any, TypeVar
@@ -9,6 +10,7 @@ import numpy as np
 
 from ..mechanics.arm import (
     MUSCLE_BLEND,
+    AbstractDragLaw,
     Arm,
     Contact,
     Pneumatics,
@@ -20,6 +22,7 @@ from ..mechanics.arm import (
 from ..mechanics.joint import MUSCLE_LAWS as LAWS, Correction, Joint, JointPair
 from ..mechanics.obstacles import AbstractObstacle, Box, Plane, WallWithOpening
 from ..recordings import Definition, Run
+from ..runtime.plugins import name_of, registered
 from ..runtime.text import InputError
 from ..schema import (
     BUOYANCY,
@@ -37,7 +40,7 @@ from ..schema import (
     check_obstacles,
     sections_of_cameras,
 )
-from ..schema.parameters import declared, default_free, replace
+from ..schema.parameters import DECLARED, declared, default_free, replace
 from ._arm_sensors import Camera, Landmark, Sensors
 from ._cameras import Pinhole
 from ._protocol import parameter_values
@@ -219,7 +222,7 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
         "links": arm.count,
         **ArmSection.keys_of(constants),
         "joint_axes": "pitch_yaw" if usual_axes else [list(axis) for axis in arm.joints.axes],
-        "drag": arm.air.drag,
+        "drag": arm.air.drag if arm.air.law is None else _law_name(arm.air.law),
         "strip_points": arm.air.strip_points,
         "drag_curve": arm.air.drag_curve,
         "buoyancy": arm.buoyancy is not None,
@@ -248,6 +251,24 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     if others:
         facts["parameters"] = others
     return facts
+
+
+def _law_name(law: AbstractDragLaw) -> str:
+    """What files call a law that is registered, and is made from nothing but its parameters."""
+    name = name_of(type(law))
+    if registered(law.registered_as, name) is not type(law):
+        raise InputError(
+            f"the law of drag {name} is not registered, and a result could not name it: call "
+            "giajax.register of its class"
+        )
+    for field in dataclasses.fields(law):
+        value = getattr(law, field.name)
+        if DECLARED not in field.metadata and value != field.default:
+            raise InputError(
+                f"the law of drag {name} has {field.name} = {value!r}, which no file can state: "
+                "give it as the default of another class"
+            )
+    return name
 
 
 def _plain(values: Any) -> Any:

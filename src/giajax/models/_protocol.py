@@ -4,14 +4,15 @@ import abc
 import dataclasses
 from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
 
 from ..recordings import Run, upgraded
 from ..runtime.arrays import Array, Bool, Float
-from ..runtime.text import InputError
+from ..runtime.plugins import registered
+from ..runtime.text import InputError, one_of
 from ..schema import KINDS
 from ..schema.parameters import declared, replace
 
@@ -135,6 +136,8 @@ class AbstractModel(eqx.Module):
     `from_definition(definition)`, the model that `definition()` described.
     """
 
+    registered_as: ClassVar[str] = "model"
+
     @property
     @abc.abstractmethod
     def kind(self) -> str:
@@ -166,6 +169,8 @@ class AbstractModel(eqx.Module):
 
 def model_class(kind: str) -> Any:
     """The class of a kind, or of several as `arm+joint`; imported when a model of it is built."""
+    if "+" not in kind and kind not in KINDS:
+        return registered(AbstractModel.registered_as, kind)
     where = "_several:SeveralModels" if "+" in kind else KINDS[kind].model
     module, _, name = where.partition(":")
     return getattr(import_module(f".{module}", __package__), name)
@@ -196,9 +201,10 @@ def build_model(
     older = upgraded({"model": kind, **definition})
     kind = older.pop("model")
     for name in kind.split("+"):
-        if name not in KINDS:
+        if name not in KINDS and registered(AbstractModel.registered_as, name) is None:
             raise InputError(
-                f"there is no kind of model '{name}' in this version: use one of {', '.join(KINDS)}"
+                f"there is no kind of model '{name}' here: use {one_of(KINDS)}, or register the "
+                "class of it"
             )
     former = KINDS[kind].former_parameters if kind in KINDS else ()
     values = {path: v for path, v in parameters.items() if path.partition("[")[0] not in former}

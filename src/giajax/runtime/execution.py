@@ -10,7 +10,7 @@ import threading
 import time
 import traceback
 from collections import OrderedDict, deque
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, Literal, TypedDict, TypeVar
 
 from .files import check_path
+from .plugins import load_plugin, plugins
 from .process import CORES_VARIABLE, configure, is_own_process, own_process
 from .records import plain_data
 from .signals import is_stopped
@@ -117,15 +118,17 @@ def get_ready(own: bool) -> None:
     configure()
 
 
-def begin_process(own: bool, alive: Connection) -> None:
+def begin_process(own: bool, alive: Connection, added: Sequence[Path] = ()) -> None:
     """Begin a process of `Processes`, which ends when its parent closes the other end of a pipe.
 
-    That is closed where the parent is killed, too.
+    That is closed where the parent is killed, too. Plug-ins are those of the parent.
     """
     # Ctrl-C goes to all processes of a terminal: the parent says what becomes of the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(alive,), daemon=True).start()
     get_ready(own)
+    for path in added:
+        load_plugin(path)
 
 
 def _end_with(alive: Connection) -> None:
@@ -205,7 +208,7 @@ class Processes(Executor):
             self.workers,
             mp_context=context,
             initializer=begin_process,
-            initargs=(is_own_process(), alive),
+            initargs=(is_own_process(), alive, plugins()),
         )
 
     def stop(self) -> None:

@@ -23,6 +23,7 @@ import numpy as np
 from jax import export
 
 from .identities import fields_of, identity
+from .plugins import checksum
 
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 
@@ -124,7 +125,7 @@ class _Traced(_Description):
             yield ","
 
     def name(self, value: Any) -> str:
-        return f"{value.__module__}.{_qualified(value)}"
+        return f"{value.__module__}.{_qualified(value)}{checksum(value.__module__)}"
 
     def other(self, value: Any) -> Iterator[str]:
         raise NoStructureError(f"there is no description of {type(value)}")
@@ -142,7 +143,8 @@ class _Kept(_Description):
                 yield f"{name}={text},"
 
     def name(self, value: Any) -> str:
-        return identity(f"{value.__module__}:{_qualified(value)}").replace(":", ".")
+        place = f"{value.__module__}:{_qualified(value)}"
+        return identity(place).replace(":", ".") + checksum(value.__module__)
 
     def other(self, value: Any) -> Iterator[str]:
         if isinstance(value, PurePath):

@@ -4,9 +4,10 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
 from ..runtime.limits import LINKS as MOST_LINKS
+from ..runtime.plugins import registered
 from ..runtime.text import shown
 from ._declaration import (
     Count,
@@ -329,10 +330,19 @@ class _Surroundings(_Links):
     )
 
 
+def _known_drag(word: str) -> str:
+    if word not in ("centre", "strip") and registered("drag", word) is None:
+        raise ValueError(
+            f'names {shown(word)}, but must name "centre", "strip" or a '
+            "registered law of drag: correct it, or give --plugin FILE.py"
+        )
+    return word
+
+
 class ArmSection(_Surroundings):
     """`[arm]`: the known constants of the arm. A number holds for all links."""
 
-    drag: Literal["centre", "strip"] | None = key(
+    drag: Annotated[str, AfterValidator(_known_drag)] | None = key(
         '"centre" or "strip"',
         "drag at each link's centre (eq. 1), or across the flow along the link",
         preset="centre",

@@ -374,10 +374,8 @@ def tables(
     weighted = []
     count = len(coordinates.places[0])
     for index, (response, run, factor) in enumerate(zip(at, runs, factors, strict=True)):
-        changes = [
-            *np.moveaxis(response.columns[..., count:], -1, 0),
-            *(s[index] for s in switches),
-        ]
+        switched = [np.asarray(changed[index])[..., None] for changed in switches]
+        changes = np.concatenate([response.columns[..., count:], *switched], axis=-1)
         each = factor[..., None]
         fitted, own = coordinates.split(index, response.columns[..., :count], response.own)
         weighted.append(
@@ -386,7 +384,7 @@ def tables(
                 measured=~np.isnan(response.observed),
                 fitted=fitted * each,
                 own=own * each,
-                asked=np.stack(changes, axis=-1) * each,
+                asked=changes * each,
                 timed=run.times is not None,
                 known=coordinates.known_of_runs[index],
             )

@@ -1,6 +1,6 @@
 """The multibody arm: chain, presets, kinematics, dynamics, air, buoyancy and energy."""
 
-from ._air import cylinder_drag_coefficient as cylinder_drag_coefficient, drag_force as drag_force
+from ._air import drag_force as drag_force
 from ._arm import (
     PRESETS as PRESETS,
     STANDARD_GRAVITY as STANDARD_GRAVITY,
@@ -25,6 +25,14 @@ from ._contact import (
     flattening as flattening,
     touch as touch,
     touched as touched,
+)
+from ._drag import (
+    AbstractDragLaw as AbstractDragLaw,
+    CentreDrag as CentreDrag,
+    Stream as Stream,
+    StripDrag as StripDrag,
+    check_drag_law as check_drag_law,
+    cylinder_drag_coefficient as cylinder_drag_coefficient,
 )
 from ._dynamics import (
     acceleration as acceleration,

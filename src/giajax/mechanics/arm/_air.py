@@ -7,49 +7,9 @@ import numpy as np
 
 from ...runtime.arrays import Array, Float, cross, dot, safe_norm, scaled
 from ._arm import Arm, lift
+from ._drag import Stream
 from ._hysteresis import PerJoint
 from ._kinematics import Pose, Rows, angular_velocities, centre_velocities, pose
-from ._parts import Air
-
-# log10 C_D is a line in log10 Re and three smooth steps: the end of creeping flow, the growth of
-# the wake, and the drag crisis. The coefficients are a least-squares fit to 247 digitised points
-# (Re 0.1 to 8.5e6) that scatter by 0.037 about it; `data/recorded/cylinder_cd` holds them and the
-# fit.
-_LINE = (3.75991, -0.90015)
-_HEIGHT = np.asarray([-0.27163, 2.87305, 0.48415])
-_PLACE = np.asarray([5.56961, 3.91454, 6.32711])
-_WIDTH = np.asarray([0.04694, 2.98417, 0.46406])
-# The curve goes on level outside; the points end at 0.1 and 8.5e6.
-_LOWEST, _HIGHEST = 0.01, 1e7
-_REFERENCE = 1e5  # the Reynolds number at which `air.drag_coefficient` is meant
-
-
-def cylinder_drag_coefficient(reynolds: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """C_D, by length times diameter, of a smooth cylinder in cross flow at Re = |V| d / nu."""
-    return jnp.exp(np.log(10) * _log10(reynolds))
-
-
-def _log10(reynolds: Array) -> Array:
-    # Smooth at Re = 0, where an arm at rest is differentiated.
-    square = jnp.minimum(reynolds * reynolds + _LOWEST**2, _HIGHEST**2)
-    x = jnp.log(square) / (2 * np.log(10))
-    value = _LINE[0] + _LINE[1] * x
-    for height, place, width in zip(_HEIGHT, _PLACE, _WIDTH, strict=True):
-        value = value + float(height) * jnp.tanh((x - float(place)) / float(width))
-    return value
-
-
-def drag_factor(
-    air: Air, speed: Float[Array, "*shape"], diameter: Float[Array, "*shape"]
-) -> Float[Array, "*shape"] | float:
-    """C_D at a speed (m/s) over `air.drag_coefficient`."""
-    if air.drag_curve == "constant":
-        return 1.0
-    x = np.log10(_REFERENCE)
-    reference = _LINE[0] + _LINE[1] * x + np.sum(_HEIGHT * np.tanh((x - _PLACE) / _WIDTH))
-    reynolds = speed * diameter / air.viscosity
-    return jnp.exp(np.log(10) * (_log10(reynolds) - float(reference)))
-
 
 Wind = Float[Array, "3"] | Float[Array, "link 3"]
 """Of the air: one vector for the whole arm, or one for each link."""
@@ -123,30 +83,30 @@ def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
 
 
 def _drag_of_links(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
-    air, links = arm.air, arm.links
-    half_rho_area = 0.5 * air.density * links.length * links.diameter
-    if air.drag == "centre":
-        speed = safe_norm(relative)
-        factor = half_rho_area * air.drag_coefficient * drag_factor(air, speed, links.diameter)
-        return Load(-scaled(factor * speed, relative), None)
-    along = dot(here.direction, relative)
-    across = across_link(here.direction, relative)
+    air, links, axis = arm.air, arm.links, here.direction
+    law = air.drag_law
+    along = dot(axis, relative)
+    stream = Stream(
+        velocity=relative,
+        across=relative - scaled(along, axis),
+        along=along,
+        axis=axis,
+        diameter=links.diameter,
+        fullness=links.fullness,
+        density=air.density,
+        viscosity=air.viscosity,
+    )
+    if law.points == 0:
+        return Load(scaled(links.length, law.force(stream)), None)
     # Gauss points on [-1, 1]; half the weights, which then sum to 1.
-    gauss, weight = np.polynomial.legendre.leggauss(air.strip_points)
-    places, weights = (jnp.asarray(x, relative.dtype) for x in (gauss, weight / 2))
+    gauss, weight = np.polynomial.legendre.leggauss(law.points)
+    places, weights = (jnp.asarray(x, relative.dtype)[:, None] for x in (gauss, weight / 2))
     # The velocity across the link is linear along it.
-    lean = scaled(links.length / 2, cross(omega, here.direction))
-    local = across[:, None] + places[None, :, None] * lean[:, None]
-    speed = safe_norm(local)
-    curve = drag_factor(air, speed, jnp.broadcast_to(links.diameter, speed.shape))
-    factor = (half_rho_area * air.drag_coefficient)[None] * curve
-    pieces = -scaled(weights[:, None] * factor * speed, local)
-    force = pieces.sum(axis=1)
-    if air.axial_coefficient is not None:
-        skin = half_rho_area * air.axial_coefficient * jnp.abs(along) * along
-        force = force - scaled(skin, here.direction)
-    moment = (places[None, :, None] * pieces).sum(axis=1)
-    return Load(force, cross(scaled(links.length / 2, here.direction), moment))
+    lean = scaled(links.length / 2, cross(omega, axis))
+    stream = stream.at_places(places[None] * lean[:, None])
+    pieces = scaled(weights * links.length[None], law.force(stream))
+    moment = (places[None] * pieces).sum(axis=1)
+    return Load(pieces.sum(axis=1), cross(scaled(links.length / 2, axis), moment))
 
 
 def lift_force(arm: Arm) -> Rows | None:

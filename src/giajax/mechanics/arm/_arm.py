@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...runtime.arrays import Array, Float, Scalar
+from ...runtime.plugins import registered
 from ...runtime.text import InputError
 from ...schema import AIR, BASE, BUOYANCY, LINKS, POINT_MASSES
 from ...schema.parameters import (
@@ -22,7 +23,8 @@ from ...schema.parameters import (
     switched_on,
 )
 from ..joint import JointPair
-from ._parts import Air, Buoyancy, Contact, Joints, Links, PointMasses, named_axes
+from ._drag import AbstractDragLaw, check_drag_law
+from ._parts import DRAGS, Air, Buoyancy, Contact, Joints, Links, PointMasses, named_axes
 from ._pneumatics import Pneumatics, muscles_in, without_idle_springs
 
 # Frame: x along the straight arm away from the base, z up, y to the left; the origin is joint 1.
@@ -269,7 +271,7 @@ def chain(
     base_rotation: Any = (0.0, 0.0, 0.0),
     gravity: Any = 0.0,
     air_density: Any = None,
-    drag: str = "centre",
+    drag: str | AbstractDragLaw = "centre",
     strip_points: int = 3,
     drag_curve: str = "constant",
     added_mass: str = "kirchhoff",
@@ -292,7 +294,8 @@ def chain(
         base_rotation: rotation vector of the straight arm, rad, shape (3,).
         gravity: along -z, m/s^2.
         air_density: kg/m^3.
-        drag, strip_points, drag_curve, added_mass: as of `Air`.
+        drag: a word of `Air`, a law of drag, or the name of a registered one (`giajax.register`).
+        strip_points, drag_curve, added_mass: as of `Air`.
         buoyancy: whether displaced air, helium and trim weights count; without gravity only
             their masses do.
         trim: hang the trim weights that make each link float, and float level unless
@@ -342,8 +345,23 @@ def chain(
     diameter = per_link("diameter", diameter)
     mass = per_link("mass", mass)
     axial = mass * (diameter / 2) ** 2
-    air: dict[str, Any] = {"drag": drag, "strip_points": strip_points}
-    air |= {"drag_curve": drag_curve, "added_mass": added_mass}
+    air: dict[str, Any] = {"strip_points": strip_points, "drag_curve": drag_curve}
+    air |= {"drag": drag, "added_mass": added_mass}
+    own = None
+    if isinstance(drag, str) and drag not in DRAGS:
+        own = registered(AbstractDragLaw.registered_as, drag)
+    if own is not None:
+        try:
+            drag = own()
+        except TypeError as error:
+            raise InputError(
+                f"the law of drag {drag} is not made from its defaults ({error}): give it all of "
+                "its methods, and each field a default"
+            ) from None
+    if isinstance(drag, AbstractDragLaw):
+        check_drag_law(drag)
+        # The coefficient of eq. (1) is at its bound, so that no fit frees it.
+        air |= {"drag": "centre", "law": drag, "drag_coefficient": 0.0}
     air |= {} if air_density is None else {"density": air_density}
     joints = Joints(axes=named_axes(joint_axes, links))
     pneumatics = None if muscles is None else muscles_in(muscles, pair, joints)

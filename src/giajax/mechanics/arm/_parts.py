@@ -12,6 +12,7 @@ from ...runtime.text import InputError
 from ...schema import AIR, BUOYANCY, CONTACT, JOINTS, LINKS, POINT_MASSES
 from ...schema.parameters import inline, is_concrete, parameter
 from ..obstacles import AbstractObstacle
+from ._drag import AbstractDragLaw, CentreDrag, StripDrag
 from ._hysteresis import JointHysteresis, PerJoint
 
 Axis = tuple[float, float, float]
@@ -87,6 +88,7 @@ class Air(eqx.Module):
       velocities. "inertia": without them, as in engines that add it to their mass matrix alone;
       energy is not conserved then. It is here to compare with those.
     - `wind`: a constant wind, beside that of the run.
+    - `law`: a law of drag of your own in place of all that, whose parameters are `air.law.NAME`.
     """
 
     density: Scalar = parameter(AIR.density)
@@ -99,6 +101,7 @@ class Air(eqx.Module):
     strip_points: int = eqx.field(static=True, default=3)
     drag_curve: str = eqx.field(static=True, default="constant")
     added_mass: str = eqx.field(static=True, default="kirchhoff")
+    law: AbstractDragLaw | None = None
 
     def __check_init__(self) -> None:
         choices = {"drag": DRAGS, "drag_curve": DRAG_CURVES, "added_mass": ADDED_MASSES}
@@ -112,6 +115,20 @@ class Air(eqx.Module):
                 "drag = 'centre' has the full velocity already and no axial coefficient: "
                 "use drag = 'strip', or leave air.axial_coefficient out"
             )
+
+    @property
+    def drag_law(self) -> AbstractDragLaw:
+        """What drag follows from: `law`, or the one that the words name."""
+        if self.law is not None:
+            return self.law
+        if self.drag == "centre":
+            return CentreDrag(coefficient=self.drag_coefficient, curve=self.drag_curve)
+        return StripDrag(
+            coefficient=self.drag_coefficient,
+            axial=self.axial_coefficient,
+            curve=self.drag_curve,
+            points=self.strip_points,
+        )
 
 
 class Links(eqx.Module):

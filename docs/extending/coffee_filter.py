@@ -1,0 +1,60 @@
+"""A falling coffee filter with quadratic drag: a model of one's own."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import giajax
+from giajax.schema.parameters import parameter
+
+GRAVITY = 9.80665
+
+
+@giajax.register
+class CoffeeFilter(giajax.AbstractModel):
+    """Released at rest: its fall approaches the speed at which drag carries its weight."""
+
+    kind = "coffee_filter"
+
+    height: jax.Array = parameter(2.0, unit="m", frozen=False, doc="height of its release")
+    speed: jax.Array = parameter(1.0, unit="m/s", lower=0, frozen=False, doc="terminal speed")
+
+    def prepare(self, run):
+        return jnp.asarray(run.times)
+
+    def predict(self, times, channels):
+        x = GRAVITY * times / self.speed
+        # log cosh x, without the overflow of cosh.
+        fallen = self.speed**2 / GRAVITY * (jnp.logaddexp(x, -x) - jnp.log(2.0))
+        return dict.fromkeys(channels, self.height - fallen), jnp.all(jnp.isfinite(fallen))
+
+    def definition(self):
+        return {}
+
+    @classmethod
+    def from_definition(cls, definition):
+        return cls()
+
+
+def main():
+    jax.config.update("jax_enable_x64", True)
+    times = np.linspace(0.0, 1.5, 61)
+    noise = np.random.default_rng(3).normal(scale=0.004, size=61)
+    fallen = 1.4**2 / GRAVITY * np.log(np.cosh(GRAVITY * times / 1.4))
+    run = giajax.Run.from_arrays(
+        times,
+        {"tip_z": 2.1 - fallen + noise},
+        noise={"position": 0.004},
+        definition={"free_motion": True},
+    )
+    giajax.write_run("filter.csv", run.times, run.values, definition=run.definition)
+    run = giajax.read_run("filter.csv")
+    result = giajax.fit(CoffeeFilter(), run)
+    assert result.verdict.status == "adequate"
+    speed = result.parameters["speed"]
+    assert abs(speed.value - 1.4) < 3 * speed.standard_error
+    giajax.write_result(result, run, "filter", figures=False)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,225 @@
+"""Laws of drag: the force of the air for each metre of a link. A law of one's own is one more."""
+
+import abc
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...runtime.arrays import Array, Float, Scalar, safe_norm, scaled
+from ...runtime.text import InputError
+
+# log10 C_D is a line in log10 Re and three smooth steps: the end of creeping flow, the growth of
+# the wake, and the drag crisis. The coefficients are a least-squares fit to 247 digitised points
+# (Re 0.1 to 8.5e6) that scatter by 0.037 about it; `data/recorded/cylinder_cd` holds them and the
+# fit.
+_LINE = (3.75991, -0.90015)
+_HEIGHT = np.asarray([-0.27163, 2.87305, 0.48415])
+_PLACE = np.asarray([5.56961, 3.91454, 6.32711])
+_WIDTH = np.asarray([0.04694, 2.98417, 0.46406])
+# The curve goes on level outside; the points end at 0.1 and 8.5e6.
+_LOWEST, _HIGHEST = 0.01, 1e7
+# The Reynolds number at which `air.drag_coefficient` is meant.
+_REFERENCE = 1e5
+
+
+def cylinder_drag_coefficient(reynolds: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """C_D, by length times diameter, of a smooth cylinder in cross flow at Re = |V| d / nu."""
+    return jnp.exp(np.log(10) * _log10(reynolds))
+
+
+def _log10(reynolds: Array) -> Array:
+    # Smooth at Re = 0, where an arm at rest is differentiated.
+    square = jnp.minimum(reynolds * reynolds + _LOWEST**2, _HIGHEST**2)
+    x = jnp.log(square) / (2 * np.log(10))
+    value = _LINE[0] + _LINE[1] * x
+    for height, place, width in zip(_HEIGHT, _PLACE, _WIDTH, strict=True):
+        value = value + float(height) * jnp.tanh((x - float(place)) / float(width))
+    return value
+
+
+class Stream(NamedTuple):
+    """The air past the links of an arm at one place of each link, or at several.
+
+    Vectors have shape (3, link), or (3, place, link) where there are several places; what is no
+    vector lacks the 3, and what is the same at all places may have one. `runtime.arrays` has what
+    laws are written with: `dot`, `scaled`, and `safe_norm`, which has derivatives at rest.
+
+    Attributes:
+        velocity: of the place relative to the air, m/s.
+        across: the part of the velocity that is normal to the link, m/s.
+        along: the other part, towards the tip, m/s.
+        axis: unit vector along the link, towards the tip.
+        diameter: of the link, m.
+        fullness: displaced volume over that of the full cylinder.
+        density: of the air, kg/m^3.
+        viscosity: kinematic, of the air, m^2/s.
+    """
+
+    velocity: Float[Array, "3 *place link"]
+    across: Float[Array, "3 *place link"]
+    along: Float[Array, "*one link"]
+    axis: Float[Array, "3 *one link"]
+    diameter: Float[Array, "*one link"]
+    fullness: Float[Array, "*one link"]
+    density: Scalar
+    viscosity: Scalar
+
+    def reynolds(self, speed: Float[Array, "*place link"]) -> Float[Array, "*place link"]:
+        """The Reynolds number |V| d / nu of a speed, m/s."""
+        return speed * self.diameter / self.viscosity
+
+    def at_places(self, moved: Float[Array, "3 place link"]) -> "Stream":
+        """That of a place, at several, which move with other velocities across the link, m/s."""
+        wide = {
+            name: getattr(self, name)[..., None, :]
+            for name in ("along", "axis", "diameter", "fullness")
+        }
+        velocity, across = self.velocity[:, None] + moved, self.across[:, None] + moved
+        return self._replace(velocity=velocity, across=across, **wide)
+
+
+class AbstractDragLaw(eqx.Module):
+    """What the air does to a link, place by place: `force`, and at how many `points`.
+
+    Its parameters are declared as all others (`giajax.schema.parameters.parameter`) and have paths
+    as `air.law.NAME`. `giajax.testing.check_drag_law` tests a law.
+    """
+
+    registered_as: ClassVar[str] = "drag"
+
+    @property
+    @abc.abstractmethod
+    def points(self) -> int:
+        """Gauss points along a link: a constant. 0: at its centre alone, without a couple."""
+
+    @abc.abstractmethod
+    def force(self, stream: Stream) -> Float[Array, "3 *place link"]:
+        """Force of the air on each metre of the links, N/m."""
+
+
+def _factor(curve: str, stream: Stream, speed: Array) -> Array | float:
+    """C_D at a speed over that at the Reynolds number of reference."""
+    if curve == "constant":
+        return 1.0
+    x = np.log10(_REFERENCE)
+    reference = _LINE[0] + _LINE[1] * x + np.sum(_HEIGHT * np.tanh((x - _PLACE) / _WIDTH))
+    return jnp.exp(np.log(10) * (_log10(stream.reynolds(speed)) - float(reference)))
+
+
+class CentreDrag(AbstractDragLaw):
+    """F = -1/2 rho C_D L d |V| V at the link's centre (paper, eq. 1).
+
+    Attributes:
+        coefficient: C_D; with the curve "cylinder" that at Re = 1e5.
+    """
+
+    coefficient: Scalar
+    curve: str = eqx.field(static=True, default="constant")
+    points: int = eqx.field(static=True, default=0)
+
+    def force(self, stream: Stream) -> Float[Array, "3 *place link"]:
+        """Along the velocity, against it."""
+        speed = safe_norm(stream.velocity)
+        size = 0.5 * stream.density * stream.diameter * self.coefficient
+        return -scaled(size * _factor(self.curve, stream, speed) * speed, stream.velocity)
+
+
+class StripDrag(AbstractDragLaw):
+    """Drag of the flow across a link, and along it.
+
+    Attributes:
+        coefficient: C_D; with the curve "cylinder" that at Re = 1e5.
+        axial: coefficient of the drag along the link, by length times diameter; None for none.
+    """
+
+    coefficient: Scalar
+    axial: Scalar | None = None
+    curve: str = eqx.field(static=True, default="constant")
+    points: int = eqx.field(static=True, default=3)
+
+    def force(self, stream: Stream) -> Float[Array, "3 *place link"]:
+        """Against the flow across the link, by its own speed, and against that along it."""
+        speed = safe_norm(stream.across)
+        half = 0.5 * stream.density * stream.diameter
+        size = half * self.coefficient * _factor(self.curve, stream, speed)
+        force = -scaled(size * speed, stream.across)
+        if self.axial is None:
+            return force
+        skin = half * self.axial * jnp.abs(stream.along) * stream.along
+        return force - scaled(skin, stream.axis)
+
+
+# Speeds at which a law is tried, m/s; at the last one it is differentiated, and at rest.
+_SPEEDS = (1e-3, 0.1, 1.0, 10.0)
+
+
+def check_drag_law(law: AbstractDragLaw) -> None:
+    """Try a law of drag on links that move in several ways, and at rest.
+
+    Raises:
+        InputError: naming the method and what is wrong: a shape, a value or a derivative that is
+            not finite, a derivative that is not that of the differences, or a force that drives a
+            link instead of resisting it.
+    """
+    what = f"{type(law).__name__}.force"
+    if not isinstance(law.points, int) or law.points < 0:
+        raise InputError(
+            f"{type(law).__name__}.points is {law.points!r}: give 0, or as many points"
+        )
+    unit = np.random.default_rng(0).normal(size=(3, 7))
+    ways = jnp.asarray(unit / np.linalg.norm(unit, axis=0), float)
+    axis = jnp.zeros_like(ways).at[0].set(1.0)
+
+    def stream(velocity: Array, places: int) -> Stream:
+        along, one = velocity[0], jnp.ones_like(velocity[0])
+        about = (along, axis, 0.3 * one, 0.9 * one, 1.2 * one[0], 1.5e-5 * one[0])
+        there = Stream(velocity, velocity - scaled(along, axis), *about)
+        return there.at_places(jnp.zeros((3, places, 7), one.dtype)) if places else there
+
+    for places in (law.points, 2) if law.points else (0,):
+        shape = stream(ways, places).velocity.shape
+        found = getattr(law.force(stream(ways, places)), "shape", None)
+        if found != shape:
+            raise InputError(
+                f"{what} returns the shape {found} for velocities of shape {shape}: return a "
+                "force for each of them"
+            )
+
+    def force(velocity: Array) -> Array:
+        return law.force(stream(velocity, law.points)) + 0 * velocity.sum()
+
+    for speed in _SPEEDS:
+        acting = force(speed * ways)
+        moving = stream(speed * ways, law.points).velocity
+        if not bool(jnp.all(jnp.isfinite(acting))):
+            raise InputError(f"{what} is not finite at {speed:g} m/s: correct it")
+        if bool(jnp.any(jnp.sum(acting * moving, axis=0) > 0)):
+            raise InputError(
+                f"{what} drives a link that moves through the air with {speed:g} m/s, and would "
+                "make energy: let it act against the velocity"
+            )
+    directions = jnp.ones_like(ways)
+    parameters, rest = eqx.partition(law, eqx.is_inexact_array)
+    for name, velocity in (("at rest", jnp.zeros_like(ways)), (f"at {speed:g} m/s", speed * ways)):
+        slope = jax.jvp(force, (velocity,), (directions,))[1]
+        ones = jax.tree.map(jnp.ones_like, parameters)
+        here = stream(velocity, law.points)
+        of_parameters = jax.jvp(
+            lambda values, at=here: eqx.combine(values, rest).force(at), (parameters,), (ones,)
+        )[1]
+        if not bool(jnp.all(jnp.isfinite(slope)) & jnp.all(jnp.isfinite(of_parameters))):
+            raise InputError(
+                f"{what} has a derivative that is not finite {name}: use safe_norm of "
+                "giajax.runtime.arrays in place of a root"
+            )
+    step = 1e-3 if ways.dtype == jnp.float32 else 1e-6
+    difference = (force(velocity + step * directions) - force(velocity - step * directions)) / 2
+    size = float(jnp.max(jnp.abs(slope))) + float(jnp.max(jnp.abs(acting)))
+    if float(jnp.max(jnp.abs(difference / step - slope))) > 1e-2 * size:
+        raise InputError(
+            f"{what} has a derivative {name} that is not that of its differences: correct its "
+            "custom rule, or remove it"
+        )

@@ -1,0 +1,163 @@
+"""Laws of drag: those of giajax, one of one's own, and wrong ones."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import giajax
+from giajax import InputError
+from giajax.mechanics.arm import (
+    AbstractDragLaw,
+    CentreDrag,
+    StripDrag,
+    chain,
+    check_drag_law,
+    drag_force,
+)
+from giajax.runtime.arrays import safe_norm, scaled
+from giajax.schema.parameters import declared, default_free, parameter
+
+ONE = jnp.asarray(1.1)
+
+
+@pytest.mark.parametrize("curve", ["constant", "cylinder"])
+@pytest.mark.parametrize(
+    "law",
+    [
+        CentreDrag(coefficient=ONE),
+        StripDrag(coefficient=ONE),
+        StripDrag(coefficient=ONE, axial=ONE),
+    ],
+    ids=["centre", "strip", "strip and along"],
+)
+def test_the_laws_of_giajax_resist_and_have_derivatives_at_rest(law, curve):
+    check_drag_law(dataclasses.replace(law, curve=curve))
+
+
+@giajax.register
+class Square(AbstractDragLaw):
+    """As strip drag, with a coefficient of its own."""
+
+    coefficient: jax.Array = parameter(1.2, unit="", lower=0, frozen=False, doc="C_D")
+    more: jax.Array | None = parameter(0.5, unit="", lower=0, optional=True, doc="of a limp link")
+    points: int = 4
+
+    def force(self, stream):
+        size = 0.5 * stream.density * stream.diameter * self.coefficient
+        if self.more is not None:
+            size = size * (1 + self.more * (1 - stream.fullness))
+        return -scaled(size * safe_norm(stream.across), stream.across)
+
+
+def test_a_law_with_the_formula_of_strip_drag_is_strip_drag():
+    rng = np.random.default_rng(0)
+    angles, rates = jnp.asarray(rng.normal(size=(2, 3)))
+    wind = jnp.asarray([1.0, -0.5, 0.2])
+    of_giajax = chain(3, drag="strip", strip_points=4)
+    expected = drag_force(of_giajax, angles, rates, wind)
+    for arm in (chain(3, drag=Square()), chain(3, drag="Square")):
+        assert_allclose(drag_force(arm, angles, rates, wind), expected, rtol=1e-13)
+    limp = chain(3, drag=Square(more=0.4), parameters={"links.fullness": 0.5})
+    assert_allclose(drag_force(limp, angles, rates, wind), 1.2 * expected, rtol=1e-13)
+
+
+def test_its_parameters_are_declared_as_all_others():
+    arm = chain(2, drag="Square", parameters={"air.law.more": 0.1})
+    assert {"air.law.coefficient", "air.law.more"} <= set(declared(arm))
+    assert "air.law.coefficient" in default_free(arm)
+    # What the law does not use is not fitted.
+    assert "air.drag_coefficient" not in default_free(arm)
+
+
+def test_an_arm_with_a_law_goes_through_its_definition():
+    model = giajax.ArmModel(chain(2, drag="Square", parameters={"air.law.more": 0.1}))
+    again = giajax.ArmModel.from_definition(model.definition())
+    assert eqx.tree_equal(again.arm.air, model.arm.air)
+    other = giajax.ArmModel(chain(2, drag=Square(points=5)))
+    with pytest.raises(InputError, match="Square has points = 5, which no file can state"):
+        other.definition()
+
+    class Local(Square):
+        """Nobody has registered it."""
+
+    with pytest.raises(InputError, match="the law of drag Local is not registered"):
+        giajax.ArmModel(chain(2, drag=Local())).definition()
+
+
+def test_what_is_left_of_a_law_are_the_laws_of_giajax_as_other_choices():
+    model = giajax.ArmModel(chain(2, drag="Square"))
+    others = giajax.models.capabilities.variants(model)
+    for word in ("centre", "strip"):
+        air = others[f"arm.drag = {word}"].arm.air
+        assert (air.law, air.drag) == (None, word)
+        assert float(air.drag_coefficient) == 1.2
+
+
+class Shapeless(Square):
+    def force(self, stream):
+        return stream.density
+
+
+class Pushing(Square):
+    def force(self, stream):
+        return -super().force(stream)
+
+
+class Rough(Square):
+    def force(self, stream):
+        return -scaled(jnp.linalg.norm(stream.across, axis=0), stream.across)
+
+
+class Infinite(Square):
+    def force(self, stream):
+        return super().force(stream) / 0.0
+
+
+@jax.custom_jvp
+def _held(speed):
+    return speed
+
+
+_held.defjvp(lambda primals, tangents: (primals[0], 0 * tangents[0]))
+
+
+class Misled(Square):
+    def force(self, stream):
+        return -scaled(_held(safe_norm(stream.across)), stream.across)
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        (
+            Shapeless(),
+            r"Shapeless.force returns the shape \(\) for velocities of shape \(3, 4, 7\)",
+        ),
+        (Pushing(), "Pushing.force drives a link .* and would make energy"),
+        (Rough(), "Rough.force has a derivative that is not finite at rest: use safe_norm"),
+        (Infinite(), "Infinite.force is not finite at 0.001 m/s"),
+        (Misled(), "Misled.force has a derivative at 10 m/s that is not that of its differences"),
+        (Square(points=-1), "Square.points is -1: give 0, or as many points"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, AbstractDragLaw) else "",
+)
+def test_a_wrong_law_is_refused_before_anything_is_fitted(law, said):
+    with pytest.raises(InputError, match=said):
+        chain(2, drag=law)
+
+
+@giajax.register
+class Unfinished(AbstractDragLaw):
+    """It has no force."""
+
+    points: int = 0
+
+
+def test_a_law_without_its_method_is_refused_by_its_name():
+    with pytest.raises(InputError, match=r"law of drag Unfinished is not made .*force"):
+        chain(2, drag="Unfinished")
