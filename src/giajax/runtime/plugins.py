@@ -106,6 +106,11 @@ def plugins() -> tuple[Path, ...]:
     return tuple(_PLUGINS)
 
 
+def plugin_modules() -> set[str]:
+    """What the plug-ins are called as modules."""
+    return {path.stem for path in _PLUGINS}
+
+
 @functools.cache
 def checksum(module: str) -> str:
     """SHA-256 of the file of a module that is neither giajax nor installed; empty for others.

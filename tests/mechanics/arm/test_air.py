@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import giajax.mechanics.arm
-from giajax.mechanics.arm import _air as _cylinder, chain, cylinder_drag_coefficient, takeichi_20m
+from giajax.mechanics.arm import _drag as _cylinder, chain, cylinder_drag_coefficient, takeichi_20m
 from giajax.schema.parameters import replace
 from peers.arms import full_arm, random_states
 
