@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -173,29 +174,23 @@ _ADDED = AIR.added_mass_coefficient
 def arm_variants(arm: Arm) -> dict[str, Arm]:
     """Arms that differ in one choice of `[arm]`, by the key and the value that make them."""
     others, air = {}, arm.air
+
+    def with_air(**changes: Any) -> Arm:
+        return dataclasses.replace(arm, air=dataclasses.replace(air, **changes))
+
     if air.law is not None:
-        # Instead of a law of one's own, those of giajax; what differs in words differs in those.
-        usual = AIR.drag_coefficient
-        air = dataclasses.replace(air, law=None, drag="strip")
-        shipped = replace(dataclasses.replace(arm, air=air), {usual.path: usual.default})
-        others["arm.drag = strip"], air = shipped, shipped.air
-        others["arm.drag = centre"] = dataclasses.replace(
-            arm, air=dataclasses.replace(air, drag="centre")
-        )
+        # In place of a law of one's own, those of giajax.
+        usual = AIR.drag_coefficient.default
+        for word in ("strip", "centre"):
+            others[f"arm.drag = {word}"] = with_air(law=None, drag=word, drag_coefficient=usual)
     elif air.drag == "centre":
-        others["arm.drag = strip"] = dataclasses.replace(
-            arm, air=dataclasses.replace(air, drag="strip")
-        )
+        others["arm.drag = strip"] = with_air(drag="strip")
     else:
         # Drag at the centres has the velocity along a link already.
-        centre = dataclasses.replace(air, drag="centre", axial_coefficient=None)
-        others["arm.drag = centre"] = dataclasses.replace(arm, air=centre)
-    if arm.air.law is None:
+        others["arm.drag = centre"] = with_air(drag="centre", axial_coefficient=None)
+    if air.law is None:
         curve = "cylinder" if air.drag_curve == "constant" else "constant"
-        others[f"arm.drag_curve = {curve}"] = dataclasses.replace(
-            arm, air=dataclasses.replace(air, drag_curve=curve)
-        )
-    air = arm.air
+        others[f"arm.drag_curve = {curve}"] = with_air(drag_curve=curve)
     if arm.joints.hysteresis.memory.strength is None:
         strength = JOINT_MEMORY.strength
         name = f"{strength.path} = {strength.default:g} {strength.unit}"
@@ -205,9 +200,7 @@ def arm_variants(arm: Arm) -> dict[str, Arm]:
         others[name] = replace(arm, {DRIVE.lag.path: DRIVE.lag.default})
     if air.added_mass_coefficient is not None:
         other = "inertia" if air.added_mass == "kirchhoff" else "kirchhoff"
-        others[f"arm.added_mass = {other}"] = dataclasses.replace(
-            arm, air=dataclasses.replace(air, added_mass=other)
-        )
+        others[f"arm.added_mass = {other}"] = with_air(added_mass=other)
     else:
         # The coefficient is tested as a parameter, with all terms that follow from it. In other
         # engines it is inertia alone; and drag that is wrong along a link hides what it does.

@@ -22,15 +22,12 @@ Registered = TypeVar("Registered", bound=type)
 _CLASSES: dict[str, dict[str, Any]] = {}
 _PLUGINS: list[Path] = []
 
-SUFFIX = ".py"
-
 
 def register(cls: Registered) -> Registered:
     """Make a class of yours known by its name, to files and to the command line.
 
-    A model is called as its `kind`, everything else as its class. It may be used as a decorator. A
-    package can do without: an entry point of the group `giajax.models` (or `giajax.drags`) of that
-    name leads to the class.
+    A model is called as its `kind`, everything else as its class. A package may have an entry point
+    of that name instead, of the group `giajax.models` or `giajax.drags`.
 
     Raises:
         InputError: it is of no class that giajax knows, or another one has its name.
@@ -77,16 +74,14 @@ def load_plugin(path: Path) -> None:
     if path in _PLUGINS:
         return
     name = path.stem
-    if path.suffix != SUFFIX or not name.isidentifier():
-        raise InputError(f"{path} is no plug-in: give a Python file, such as laws{SUFFIX}")
+    if path.suffix != ".py" or not name.isidentifier():
+        raise InputError(f"{path} is no plug-in: give a Python file, such as laws.py")
     if not path.is_file():
         raise InputError(f"there is no plug-in {path}: correct the path")
     other = importlib.util.find_spec(name)
     if name in sys.modules or (other is not None and other.origin != str(path)):
         raise InputError(f"{path} is called as the module '{name}': give it another name")
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
+    spec: Any = importlib.util.spec_from_file_location(name, path)
     module = sys.modules[name] = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
@@ -106,11 +101,6 @@ def plugins() -> tuple[Path, ...]:
     return tuple(_PLUGINS)
 
 
-def plugin_modules() -> set[str]:
-    """What the plug-ins are called as modules."""
-    return {path.stem for path in _PLUGINS}
-
-
 @functools.cache
 def checksum(module: str) -> str:
     """SHA-256 of the file of a module that is neither giajax nor installed; empty for others.
@@ -124,10 +114,7 @@ def checksum(module: str) -> str:
     installed = map(sysconfig.get_path, ("stdlib", "platstdlib", "purelib", "platlib"))
     if any(path.is_relative_to(Path(root).resolve()) for root in installed):
         return ""
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError:
-        return ""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
 def sources_of(*classes: type) -> dict[str, str]:
@@ -147,6 +134,7 @@ def sources_of(*classes: type) -> dict[str, str]:
 
 def hint(versions: Mapping[str, str]) -> str:
     """What to do where a result of these sources names what is not registered; may be empty."""
-    absent = [name for name, text in versions.items() if text.startswith("sha256 ")]
-    absent = [name for name in absent if name not in {path.name for path in _PLUGINS}]
+    loaded = {path.name for path in _PLUGINS}
+    files = (name for name, text in versions.items() if text.startswith("sha256 "))
+    absent = [name for name in files if name not in loaded]
     return f" (it was made with {absent[0]}: give --plugin {absent[0]})" if absent else ""

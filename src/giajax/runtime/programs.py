@@ -23,7 +23,7 @@ import numpy as np
 from jax import export
 
 from .identities import fields_of, identity
-from .plugins import checksum, plugin_modules
+from .plugins import checksum, plugins
 
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 
@@ -145,8 +145,8 @@ class _Kept(_Description):
     def name(self, value: Any) -> str:
         place = f"{value.__module__}:{_qualified(value)}"
         # Of a plug-in what it is, too; of what Python itself imported the name, as ever.
-        added = checksum(value.__module__) if value.__module__ in plugin_modules() else ""
-        return identity(place).replace(":", ".") + added
+        added = value.__module__ in {path.stem for path in plugins()}
+        return identity(place).replace(":", ".") + checksum(value.__module__) * added
 
     def other(self, value: Any) -> Iterator[str]:
         if isinstance(value, PurePath):

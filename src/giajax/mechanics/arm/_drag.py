@@ -21,8 +21,7 @@ _PLACE = np.asarray([5.56961, 3.91454, 6.32711])
 _WIDTH = np.asarray([0.04694, 2.98417, 0.46406])
 # The curve goes on level outside; the points end at 0.1 and 8.5e6.
 _LOWEST, _HIGHEST = 0.01, 1e7
-# The Reynolds number at which `air.drag_coefficient` is meant.
-_REFERENCE = 1e5
+_REFERENCE = 1e5  # the Reynolds number at which `air.drag_coefficient` is meant
 
 
 def cylinder_drag_coefficient(reynolds: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
@@ -152,8 +151,7 @@ class StripDrag(AbstractDragLaw):
         return force - scaled(skin, stream.axis)
 
 
-# Speeds at which a law is tried, m/s; at the last one it is differentiated, and at rest.
-_SPEEDS = (1e-3, 0.1, 1.0, 10.0)
+_SPEEDS = (1e-3, 0.1, 1.0, 10.0)  # at which a law is tried, m/s; the last one has derivatives
 
 
 def check_drag_law(law: AbstractDragLaw) -> None:
@@ -164,11 +162,10 @@ def check_drag_law(law: AbstractDragLaw) -> None:
             not finite, a derivative that is not that of the differences, or a force that drives a
             link instead of resisting it.
     """
-    what = f"{type(law).__name__}.force"
-    if not isinstance(law.points, int) or law.points < 0:
-        raise InputError(
-            f"{type(law).__name__}.points is {law.points!r}: give 0, or as many points"
-        )
+    name, points = type(law).__name__, law.points
+    what = f"{name}.force"
+    if not isinstance(points, int) or points < 0:
+        raise InputError(f"{name}.points is {points!r}: give 0, or as many points")
     unit = np.random.default_rng(0).normal(size=(3, 7))
     ways = jnp.asarray(unit / np.linalg.norm(unit, axis=0), float)
     axis = jnp.zeros_like(ways).at[0].set(1.0)
@@ -189,7 +186,7 @@ def check_drag_law(law: AbstractDragLaw) -> None:
             )
 
     def force(velocity: Array) -> Array:
-        return law.force(stream(velocity, law.points)) + 0 * velocity.sum()
+        return law.force(stream(velocity, law.points))
 
     for speed in _SPEEDS:
         acting = force(speed * ways)
