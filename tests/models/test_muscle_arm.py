@@ -1,6 +1,7 @@
 """An arm with muscles as a model: its files, runs with pressures, and fits."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -94,12 +95,18 @@ def test_a_fit_frees_what_an_arm_can_tell():
     assert free == ("joints.pitch_stiffness", "joints.damping", "air.drag_coefficient")
 
 
+@eqx.filter_jit
+def commanded(drive, angles):
+    """Pressures of rows of angles (rad): one program in place of one for each operation."""
+    return jax.vmap(drive.commanded)(angles)
+
+
 def driven_run(measured=None, **changes):
     """Pressures and a yaw command that go through stable angles of both sides."""
     drive = arm_of(ARM).pneumatics
     knots = np.asarray([0.0, 1.0, 1.5, 6.0, 6.5, 11.0, 16.0])
     angles = [(0, 0), (0, 0), (35, 25), (35, 25), (50, -35), (25, -50), (40, -30)]
-    rows = np.stack([drive.commanded(jnp.deg2rad(jnp.asarray([a, 0.0, b]))) for a, b in angles])
+    rows = commanded(drive, np.deg2rad([(a, 0.0, b) for a, b in angles]))
     values = {
         f"joint{joint:02d}_pressure_{name}": np.interp(TIMES, knots, rows[:, row, joint - 1])
         for joint in (1, 3)
@@ -145,7 +152,7 @@ def test_pressures_set_the_scale_only_by_the_strength_of_the_muscles():
     paths = [path for path in (*SCALE, "muscle.effectiveness") if path in declared(model)]
     heavy = replace(model, {path: 2 * get(model, path) for path in paths}).arm
     angles, rates = jnp.asarray([[0.3, -0.2, 0.5], [0.1, 0.4, -0.2]])
-    pressures = model.arm.pneumatics.commanded(angles)
+    pressures = commanded(model.arm.pneumatics, angles[None])[0]
     moved = eqx.filter_jit(acceleration)
     one, other = (
         moved(arm, angles, rates, 0 * angles, pressures=pressures) for arm in (model.arm, heavy)
@@ -191,7 +198,7 @@ def test_the_commands_know_muscles(tmp_path, capsys):
     (tmp_path / "arm.toml").write_text(TOML)
     arm = Definition.load(tmp_path / "arm.toml")
     drive = arm_from_definition(arm).pneumatics
-    first, second = np.asarray(drive.commanded(jnp.deg2rad(jnp.asarray([25.0, 0, 0]))))[:, 0] / 1e3
+    first, second = np.asarray(commanded(drive, np.deg2rad([[25.0, 0, 0]])))[0, :, 0] / 1e3
     rows = "".join(f"{t:g},{first / 1e3:.12g},{second:.12g},0\n" for t in (0.0, 1.0, 30.0))
     columns = "time_s,joint01_pressure_first_MPa,joint01_pressure_second_kPa,joint02_command_deg\n"
     path, out = tmp_path / "pressures.csv", tmp_path / "run.csv"
