@@ -173,12 +173,14 @@ def test_a_result_and_its_definition_ask_the_same(tmp_path):
         source, settings = source_of(tmp_path / name, None, {}, [], "tsit5", 1e-6)
         found.append(asked(source, **settings, wanted=[DRAG, STIFFNESS]))
     one, other = found
-    assert [tie.path for tie in one.ties] == [tie.path for tie in other.ties] == list(ties)
+    assert [tie.path for tie in one.experiment.ties] == [
+        tie.path for tie in other.experiment.ties
+    ] == list(ties)
     assert one.experiment.paths == other.experiment.paths
     assert one.experiment.own == other.experiment.own
     assert one.definition["wind"] == other.definition["wind"]
     for path in ("joints.damping", "air.added_mass_coefficient", "camera.origin[0]"):
-        assert get(one.model, path) == get(other.model, path), path
+        assert get(one.experiment.model, path) == get(other.experiment.model, path), path
     # What is free by default is not, where the definition holds it.
     (tmp_path / "run_fit.toml").write_text(
         text.replace('free = ["air.drag_coefficient", "camera.origin[2]"]', "")

@@ -34,10 +34,14 @@ navigator.getGamepads = () => [window.pad];
 """
 
 
+def arm_before_a_wall():
+    wall = WallWithOpening(centre=[6.0, 0.0, 0.0], opening=[1.0, 1.0], thickness=0.2)
+    return ArmModel(chain(3, contact=Contact(obstacles=(wall,))))
+
+
 @pytest.fixture
 def cockpit(request):
-    wall = WallWithOpening(centre=[6.0, 0.0, 0.0], opening=[1.0, 1.0], thickness=0.2)
-    model = ArmModel(chain(3, contact=Contact(obstacles=(wall,))))
+    model = arm_before_a_wall()
     # A browser that shares two cores with other tests may be silent for a while.
     mapping = dataclasses.replace(PadMapping.usual(3), timeout=getattr(request, "param", 0.5))
     found = Cockpit(Session(model, mapping), TipCamera(model))
@@ -279,7 +283,7 @@ class _Evil(BaseHTTPRequestHandler):
 def test_the_gate_is_the_only_door():
     """What serves the pad and the scene has no port that a script could try."""
     before = open_ports()
-    model = ArmModel(chain(3))
+    model = arm_before_a_wall()
     cockpit = Cockpit(Session(model), TipCamera(model))
     try:
         assert open_ports() - before == {int(cockpit.address.split(":")[2].split("/")[0])}

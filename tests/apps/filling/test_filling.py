@@ -195,7 +195,7 @@ CHANGES = {
     "nozzle_diameter_mm": ("regulator", 1.2),
     "nozzle_length_mm": ("regulator", 20.0),
     "nozzle_discharge_coefficient": ("regulator", 0.7),
-    "port_diameter_mm": ("flow", [8.0, 9.0]),
+    "port_diameter_mm": ("flow", 8.0),
     "port_length_mm": ("flow", 50.0),
     "port_discharge_coefficient": ("flow", 0.8),
     "gas_density_kg_per_m3": ("flow", 0.18),
@@ -205,7 +205,7 @@ CHANGES = {
     "skin_stiffness_N_per_m": ("flow", 2e4),
     "skin_poisson_ratio": ("flow", 0.3),
     "skin_slack": ("flow", 2e-3),
-    "shared": ("flow", [[1, 2]]),
+    "shared": ("flow", [[2, 3]]),
     "supply": ("flow", "regulator"),
 }
 

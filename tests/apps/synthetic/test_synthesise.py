@@ -99,7 +99,7 @@ def test_gaps_leave_every_channel_a_value(model):
 def test_noise_of_the_definition_counts_too(model):
     times, inputs = rows()
     definition = Definition.parse({"noise": {"tip_x_m": 0.5}})
-    run = synthesise(model, times, inputs, ["tip_x", "tip_z"], definition=definition)
+    run = synthesise(model, times, inputs, CHANNELS, definition=definition)
     assert (
         np.diff(run.values["tip_x"], 2).std() > 0.5 > 0.05 > np.diff(run.values["tip_z"], 2).std()
     )
