@@ -70,9 +70,13 @@ def test_predictions_are_those_of_simulate(run):
         np.testing.assert_allclose(predicted[name], value, atol=2e-6)
 
 
+@pytest.fixture(scope="module")
+def result(run):
+    return fit(model_for([run]), run, start=START)
+
+
 @pytest.mark.slow
-def test_the_truth_is_recovered(run):
-    result = fit(model_for([run]), run, start=START)
+def test_the_truth_is_recovered(result):
     assert result.status == "converged"
     # Four of them with the noise that was estimated on the way.
     assert result.iterations <= 12
@@ -120,7 +124,7 @@ def test_long_runs_get_more_steps():
 @pytest.mark.slow
 def test_mass_and_forces_are_only_determined_together(run):
     free = [*TRUTH, "links.mass", "links.inertia_transverse", "links.inertia_axial"]
-    result = fit(model_for([run]), run, free=free, start=START, max_iterations=30, check=False)
+    result = fit(model_for([run]), run, free=free, start=START, max_iterations=10, check=False)
     remark = result.parameters["air.drag_coefficient"].remark
     assert "only a combination" in remark
     assert "links.mass[" in remark
@@ -207,8 +211,7 @@ def test_a_stiff_trial_is_rejected_and_the_fit_goes_on(run):
 
 
 @pytest.mark.slow
-def test_a_result_rebuilds_its_model(run, tmp_path):
-    result = fit(model_for([run]), run, start=START, check=False)
+def test_a_result_rebuilds_its_model(run, result, tmp_path):
     (tmp_path / "result.json").write_text(result.to_json())
     loaded = giajax.load_result(tmp_path)
     for name, values in result.predict(run).items():

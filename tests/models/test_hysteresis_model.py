@@ -216,12 +216,18 @@ def test_it_is_rebuilt_from_its_definition(case):
     )
 
 
-@pytest.mark.slow
-def test_a_result_is_read_again(tmp_path):
+@pytest.fixture(scope="module")
+def of_products():
+    """A loop, and a fit of it in which only products of parameters are determined."""
     run = record("bouc_wen")
-    result = fit(
-        model_for([run]), run, free=["elastic", "alpha", "beta", "gamma", "delta", "offset"]
-    )
+    free = ["elastic", "alpha", "beta", "gamma", "delta", "offset"]
+    start = {"beta": 3.0, "gamma": 0.9, "delta": 0.3}
+    return run, fit(model_for([run]), run, free=free, start=start)
+
+
+@pytest.mark.slow
+def test_a_result_is_read_again(of_products, tmp_path):
+    run, result = of_products
     (tmp_path / "result.json").write_text(result.to_json())
     again = load_result(tmp_path)
     assert again.derived == result.derived
@@ -236,14 +242,8 @@ def test_input_and_output_of_any_quantity():
 
 
 @pytest.mark.slow
-def test_products_are_determined_where_their_factors_are_not():
-    run = record("bouc_wen")
-    result = fit(
-        model_for([run]),
-        run,
-        free=["elastic", "alpha", "beta", "gamma", "delta", "offset"],
-        start={"beta": 3.0, "gamma": 0.9, "delta": 0.3},
-    )
+def test_products_are_determined_where_their_factors_are_not(of_products):
+    run, result = of_products
     for path in ("beta", "gamma", "delta"):
         assert result.parameters[path].standard_error is None
         assert "only a combination" in result.parameters[path].remark

@@ -48,6 +48,18 @@ def run_of(command=COMMAND, **definition):
     )
 
 
+NEUTRAL = {
+    path: np.broadcast_to(off.declaration.default, np.shape(EACH[path])).astype(float)
+    for path, off in giajax.schema.parameters.left_out(model()).items()
+    if path in EACH
+}
+
+
+def with_all_sensors(**changes):
+    """A model whose sensors are all there, and change nothing but for these: one program."""
+    return model(**NEUTRAL | changes)
+
+
 @pytest.fixture(scope="module")
 def plain():
     return giajax.predict(model(), run_of(), EVERYTHING)
@@ -69,7 +81,7 @@ def test_what_is_left_out_is_not_there():
 @pytest.mark.slow
 def test_a_camera_turned_by_a_right_angle(plain):
     """The camera's x axis is y of the base, and its y axis is -x of the base."""
-    turned = model(**{"camera.rotation": [0.0, 0.0, np.pi / 2]})
+    turned = with_all_sensors(**{"camera.rotation": [0.0, 0.0, np.pi / 2]})
     seen = points(giajax.predict(turned, run_of(), EVERYTHING))
     x, y, z = np.moveaxis(points(plain), -1, 0)
     np.testing.assert_allclose(seen, np.stack([y, -x, z], -1), atol=1e-12)
@@ -79,7 +91,7 @@ def test_a_camera_turned_by_a_right_angle(plain):
 def test_scale_acts_on_what_is_seen_from_the_origin(plain):
     changes = {"camera.origin": [0.1, 0.2, -0.3], "camera.scale": 2.0}
     changes["camera.rotation"] = [np.pi, 0.0, 0.0]
-    seen = giajax.predict(model(**changes), run_of(), EVERYTHING)
+    seen = giajax.predict(with_all_sensors(**changes), run_of(), EVERYTHING)
     expected = 2 * (points(plain) - [0.1, 0.2, -0.3]) * [1, -1, -1]
     np.testing.assert_allclose(points(seen), expected, atol=1e-12)
     np.testing.assert_allclose(seen["tip_z"], -2 * (plain["tip_z"] + 0.3), atol=1e-12)
@@ -111,7 +123,7 @@ def test_angle_sensors_have_a_zero_and_a_scale(plain):
 @pytest.mark.slow
 def test_a_late_camera_shows_what_was(plain):
     """Two samples late: the same values two rows later, and at first the arm at rest."""
-    late = giajax.predict(model(**{"camera.delay": 0.2}), run_of(), EVERYTHING)
+    late = giajax.predict(with_all_sensors(**{"camera.delay": 0.2}), run_of(), EVERYTHING)
     for name in ("link03_z", "tip_y"):
         np.testing.assert_allclose(late[name][2:], plain[name][:-2], atol=1e-7)
         np.testing.assert_allclose(late[name][:2], plain[name][0], atol=1e-12)
@@ -121,7 +133,7 @@ def test_a_late_camera_shows_what_was(plain):
 @pytest.mark.slow
 def test_clocks_of_camera_and_encoder_are_their_own(plain):
     changes = {"camera.delay": 0.3, "encoder.delay": -0.1}
-    seen = giajax.predict(model(**changes), run_of(), EVERYTHING)
+    seen = giajax.predict(with_all_sensors(**changes), run_of(), EVERYTHING)
     np.testing.assert_allclose(seen["link03_z"][3:], plain["link03_z"][:-3], atol=1e-7)
     for name in ("joint01_angle", "joint02_rate", "link03_angle"):
         np.testing.assert_allclose(seen[name][:-1], plain[name][1:], atol=1e-7)
@@ -136,7 +148,8 @@ def test_an_early_clock_goes_on_beyond_the_end():
         longer, {**command, "tip_z": 0 * longer}, definition={"arm": {"links": LINKS}}
     )
     expected = giajax.predict(model(), more)["tip_z"][3:]
-    seen = giajax.predict(model(**{"camera.delay": -0.3}), run_of(), ("tip_z",))["tip_z"]
+    early = with_all_sensors(**{"camera.delay": -0.3})
+    seen = giajax.predict(early, run_of(), EVERYTHING)["tip_z"]
     np.testing.assert_allclose(seen, expected, atol=1e-7)
 
 
@@ -150,11 +163,6 @@ def test_before_the_run_a_moving_arm_moves_on(plain):
     np.testing.assert_allclose(angles[1], np.deg2rad(5.0) - 0.05 * rate, atol=1e-9)
 
 
-NEUTRAL = {
-    path: np.broadcast_to(off.declaration.default, np.shape(EACH[path])).astype(float)
-    for path, off in giajax.schema.parameters.left_out(model()).items()
-    if path in EACH
-}
 ELEMENTS = [(path, i) for path in EACH for i in range(np.size(EACH[path]))]
 
 
@@ -310,11 +318,17 @@ STATED = {
 }
 
 
+OFF = {
+    key: np.full(np.shape(value), 1.0 if key.endswith("scale") else 0.0).tolist()
+    for key, value in STATED.items()
+}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("key", STATED)
-def test_each_key_of_the_section_changes_the_prediction(key, plain):
-    stated = model_for([run_of(sensors={key: STATED[key]})])
-    off = model_for([run_of()])
+def test_each_key_of_the_section_changes_the_prediction(key):
+    stated = model_for([run_of(sensors=OFF | {key: STATED[key]})])
+    off = model_for([run_of(sensors=OFF)])
     names = ("link03_x", "link03_y", "link03_z", "tip_x", "joint02_angle")
     one, other = (giajax.predict(m, run_of(), names) for m in (stated, off))
     changed = {name for name in names if np.abs(one[name] - other[name]).max() > 1e-3}

@@ -220,7 +220,7 @@ def test_a_fit_of_several_runs_has_the_same_numbers_on_any_number_of_cores(monke
             assert other[path][1] == pytest.approx(error, rel=1e-6)
 
 
-@pytest.mark.parametrize(("count", "looked_at"), [(5, 1), (24, 3), (32, 4), (48, 4)])
+@pytest.mark.parametrize(("count", "looked_at"), [(5, 1), (24, 3), (48, 4)])
 def test_a_sample_of_runs_has_their_rows_and_zeros_for_the_others(count, looked_at):
     longest = set(np.random.default_rng(0).permutation(count)[:looked_at].tolist())
     runs = [run(seed=seed, samples=20 if seed in longest else 15) for seed in range(count)]

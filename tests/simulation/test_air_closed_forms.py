@@ -14,8 +14,8 @@ DISPLACED = DENSITY * np.pi / 4 * DIAMETER**2 * LENGTH
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drag", ["centre", "strip"])
-@pytest.mark.parametrize("added", [None, 0.9])
+# The other two pairs are those of the next test.
+@pytest.mark.parametrize(("drag", "added"), [("centre", None), ("strip", 0.9)])
 def test_a_falling_horizontal_cylinder(drag, added):
     """(m + m_a) v' = (m - rho V) g - 1/2 rho C_D L d v^2, with m_a = C_a rho V, from rest:
 
@@ -65,8 +65,9 @@ def test_a_falling_horizontal_cylinder(drag, added):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("added", [None, 1.0])
-@pytest.mark.parametrize(("drag", "share"), [("centre", 1 / 16), ("strip", 1 / 8)])
+@pytest.mark.parametrize(
+    ("drag", "share", "added"), [("centre", 1 / 16, 1.0), ("strip", 1 / 8, None)]
+)
 def test_a_link_that_swings_loses_energy_to_the_air(drag, share, added):
     """To the first order it swings as q = a cos(w t), w^2 = k / I, and the torque of the drag is
     b q' |q'|, with b = rho C_D d L^4 / 16 at the centre, and rho C_D d L^4 / 8 along the link.

@@ -64,7 +64,7 @@ def without_losses(arm):
     [
         pytest.param(takeichi_20m(), id="the paper's arm"),
         pytest.param(general_arm(4), id="a general arm in gravity"),
-        pytest.param(with_added_mass(takeichi_20m()), id="the paper's arm with added mass"),
+        pytest.param(with_added_mass(takeichi_20m(4)), id="the short arm with added mass"),
         pytest.param(without_losses(full_arm(4)), id="every option, in a steady wind"),
     ],
 )

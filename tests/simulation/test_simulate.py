@@ -1,5 +1,7 @@
 """Simulating: corners, failures, what is refused, and that nothing compiles twice."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -87,6 +89,12 @@ CORNERED = {
 }
 
 
+@functools.cache
+def cornered_reference(name):
+    """Of a command, once for all solvers."""
+    return reference(CORNERED[name])
+
+
 # Longer steps, each nearer to its tolerance.
 WITHIN = {"tsit5": 5e-6, "springs5": 3e-5}
 
@@ -98,7 +106,7 @@ def test_corners_do_not_hurt(name, solver):
     """As exact as a tight integration piece by piece, without hunting for the corners."""
     command = CORNERED[name]
     motion = move(command, solver=solver)
-    assert_allclose(motion.angles, reference(command), rtol=0, atol=WITHIN[solver])
+    assert_allclose(motion.angles, cornered_reference(name), rtol=0, atol=WITHIN[solver])
     corners = len(command.times)
     assert int(motion.steps[1]) <= 30 + corners, "steps were rejected at the corners"
     assert int(motion.steps[0]) <= 140 + 3 * corners
@@ -110,7 +118,7 @@ def test_held_rows_move_otherwise_than_joined_ones():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ulps", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("ulps", [0, 1, 4])
 def test_corners_of_command_and_wind_may_differ_by_rounding(ulps):
     time = 0.7
     for _ in range(ulps):

@@ -173,9 +173,11 @@ def test_a_result_and_its_definition_ask_the_same(tmp_path):
         source, settings = source_of(tmp_path / name, None, {}, [], "tsit5", 1e-6)
         found.append(asked(source, **settings, wanted=[DRAG, STIFFNESS]))
     one, other = found
-    assert [tie.path for tie in one.experiment.ties] == [
-        tie.path for tie in other.experiment.ties
-    ] == list(ties)
+    assert (
+        [tie.path for tie in one.experiment.ties]
+        == [tie.path for tie in other.experiment.ties]
+        == list(ties)
+    )
     assert one.experiment.paths == other.experiment.paths
     assert one.experiment.own == other.experiment.own
     assert one.definition["wind"] == other.definition["wind"]

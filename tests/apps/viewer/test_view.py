@@ -15,18 +15,22 @@ from browsing import opened
 from giajax import InputError
 from giajax.apps.viewer import Posable, Show, Viewer, _stage as _backend, recording, shown
 from giajax.cli import main
-from giajax.models import ArmModel, Pinhole, arm_scene
+from giajax.models import ArmModel, Pinhole
 from open_ports import open_ports
 from small_arm import small_run
 
 
 @pytest.fixture(scope="module")
-def show():
-    """A small arm that swings, and where a camera saw it: a little to the left."""
-    arm = giajax.chain(3, length=1.0, diameter=0.2)
-    times = jnp.linspace(0.0, 2.0, 41)
-    command = giajax.joint_ramps(3, {1: 0.5, 2: 0.4}, start=0.0, duration=1.0)
-    scene = arm_scene(giajax.simulate(arm, command, times))
+def run_and_show(tmp_path_factory):
+    """A small run, and how it is shown."""
+    folder = tmp_path_factory.mktemp("shown")
+    return small_run(folder), shown(folder / "run.csv")
+
+
+@pytest.fixture(scope="module")
+def show(run_and_show):
+    """A small arm that moves, and where a camera saw it: a little to the left."""
+    scene = run_and_show[1].scene
     seen = {name: points + np.array([0.0, 0.5, 0.0]) for name, points in scene.markers.items()}
     return Show("swing", scene, seen)
 
@@ -37,11 +41,9 @@ def page(browser, tmp_path):
         yield found
 
 
-def test_a_run_is_shown_with_its_recording(tmp_path):
-    run = small_run(tmp_path)
-    path = next(tmp_path.glob("*.csv"))
-    found = shown(path)
-    assert found.name == path.stem
+def test_a_run_is_shown_with_its_recording(run_and_show, tmp_path):
+    run, found = run_and_show
+    assert found.name == "run"
     assert_allclose(found.clock, run.times)
     assert set(found.recorded) <= set(found.scene.markers)
     assert found.recorded
@@ -74,7 +76,7 @@ def test_a_file_plays_without_a_server(show, page, tmp_path):
     page.wait("document.querySelector('[role=slider]') !== null")
     first = page.evaluate("document.querySelector('[role=slider]').ariaValueNow")
     page.wait(f"document.querySelector('[role=slider]').ariaValueNow != '{first}'")
-    assert page.evaluate("document.querySelector('[role=slider]').ariaValueMax") == "2"
+    assert page.evaluate("document.querySelector('[role=slider]').ariaValueMax") == "4"
     assert not page.complaints
 
 

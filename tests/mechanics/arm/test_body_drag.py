@@ -4,6 +4,7 @@ With every other option on, its torque is derived again in `test_lagrange.py`, i
 of the balance in `test_conservation.py`, and its derivatives are in `test_option_derivatives.py`.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,15 +14,13 @@ from scipy.integrate import solve_ivp
 
 from giajax import ArmModel, Definition, InputError, fit, model_for, replace
 from giajax.apps.synthetic import synthesise
-from giajax.mechanics.arm import (
-    PointMasses,
-    drag_power,
-    forward_dynamics,
-    inverse_dynamics,
-    pendulum,
-)
+from giajax.mechanics import arm as mechanics
+from giajax.mechanics.arm import PointMasses, forward_dynamics, pendulum
 from giajax.models import arm_from_definition, arm_to_definition
 from giajax.simulation import constant, simulate
+
+drag_power = eqx.filter_jit(mechanics.drag_power)
+inverse_dynamics = eqx.filter_jit(mechanics.inverse_dynamics)
 
 GRAVITY, LENGTH, MASS, AREA, DENSITY = 9.80665, 1.3, 0.05, 0.004, 1.204
 THREAD = 1e-6  # kg: it has nearly no mass, and no drag

@@ -48,6 +48,26 @@ def pressed_states(arm, count):
     return found[:count], rates, strain
 
 
+# One program of each for the tests of states, with its derivative along a direction.
+@jax.jit
+def touch_along(arm, state, direction):
+    """What touches in rows of angles, rates and stretch, and how its torque changes."""
+
+    def one(state, direction):
+        met, change = jax.jvp(lambda *x: touch(arm, *x), state, direction)
+        return met, change.torque
+
+    return jax.vmap(one)(state, direction)
+
+
+@jax.jit
+def energy_along(arm, angles, direction):
+    """The energy in rows of angles, and how it changes."""
+    return jax.vmap(lambda q, v: jax.jvp(lambda q: contact_energy(arm, q), (q,), (v,)))(
+        angles, direction
+    )
+
+
 @pytest.mark.parametrize("factor", [np.pi, 4 * np.pi / 3])
 def test_a_link_between_two_plates_is_the_closed_form(factor):
     """(pi / 2) p L delta for plates that come nearer by delta: pi p L w for each wall."""
@@ -88,43 +108,40 @@ def test_a_flattened_tube_has_the_force_of_its_flat_width():
 def test_force_is_the_derivative_of_the_energy_and_has_its_own():
     arm = arm_among(damping=0.4, friction=0.3)
     angles, rates, strain = pressed_states(arm, 40)
-    energy = jax.jit(jax.vmap(lambda q: contact_energy(arm, q)))
-
-    def of(q, v, s):
-        return touch(arm, q, v, s).torque
-
-    torque = jax.jit(jax.vmap(of))
+    here, still = (angles, rates, strain), jnp.zeros_like(rates)
     step = 1e-6
-    resting = torque(angles, jnp.zeros_like(rates), jnp.zeros_like(strain))
+    resting = touch_along(arm, (angles, still, jnp.zeros_like(strain)), here)[0].torque
     rows = [step * np.tile(row, (len(angles), 1)) for row in np.eye(LINKS)]
-    slopes = [(energy(angles + row) - energy(angles - row)) / (2 * step) for row in rows]
+    slopes = [
+        (energy_along(arm, angles + row, row)[0] - energy_along(arm, angles - row, row)[0])
+        / (2 * step)
+        for row in rows
+    ]
     scale = np.abs(resting).max(axis=1, keepdims=True)
     assert_allclose(-np.stack(slopes, axis=1) / scale, resting / scale, atol=1e-5)
     # One direction over angles, rates and stretch, in both modes.
     random = np.random.default_rng(5)
-    d = [jnp.asarray(random.normal(size=x.shape)) for x in (angles, rates, strain)]
+    d = [jnp.asarray(random.normal(size=x.shape)) for x in here]
     d[2] = d[2] * 1e-3
-    forward = jax.jit(jax.vmap(lambda x, dx: jax.jvp(of, x, dx)[1]))(
-        (angles, rates, strain), tuple(d)
-    )
+    _, forward = touch_along(arm, here, tuple(d))
     ahead, back = (
-        torque(*(x + sign * step * dx for x, dx in zip((angles, rates, strain), d, strict=True)))
+        touch_along(
+            arm, tuple(x + sign * step * dx for x, dx in zip(here, d, strict=True)), tuple(d)
+        )[0].torque
         for sign in (1, -1)
     )
     numbers = (ahead - back) / (2 * step)
     size = np.abs(numbers).max(axis=1, keepdims=True)
     assert_allclose(forward / size, numbers / size, atol=1e-4)
 
-    def reverse(x, dx):
-        value, pull = jax.vjp(of, *x)
-        weights = jnp.cos(jnp.arange(value.size))
-        by = pull(weights)
-        return jnp.sum(weights * jax.jvp(of, x, dx)[1]), sum(
-            jnp.vdot(a, b) for a, b in zip(by, dx, strict=True)
-        )
+    weights = jnp.cos(jnp.arange(LINKS))
 
-    one, other = jax.jit(jax.vmap(reverse))((angles, rates, strain), tuple(d))
-    assert_allclose(one, other, rtol=1e-8)
+    def pulled(x):
+        return jax.vjp(lambda *x: touch(arm, *x).torque, *x)[1](weights)
+
+    by = jax.jit(jax.vmap(pulled))(here)
+    reverse = sum(np.sum(a * b, axis=tuple(range(1, a.ndim))) for a, b in zip(by, d, strict=True))
+    assert_allclose(np.asarray(forward) @ weights, reverse, rtol=1e-8)
 
 
 def test_derivatives_by_pressure_and_by_where_the_wall_stands():
@@ -142,11 +159,12 @@ def test_derivatives_by_pressure_and_by_where_the_wall_stands():
         return jnp.sum(jax.vmap(lambda q: of(pressure, height, q))(angles))
 
     at = (jnp.asarray(1000.0), jnp.asarray(0.0))
-    slopes = jax.jit(jax.grad(total, (0, 1)))(*at)
-    value = jax.jit(total)
-    assert_allclose(slopes[0], value(*at) / 1000, rtol=1e-10)
+    value_and_slopes = jax.jit(jax.value_and_grad(total, (0, 1)))
+    value, slopes = value_and_slopes(*at)
+    assert_allclose(slopes[0], value / 1000, rtol=1e-10)
     step = 1e-6
-    difference = (value(at[0], at[1] + step) - value(at[0], at[1] - step)) / (2 * step)
+    ahead, back = (value_and_slopes(at[0], at[1] + sign * step)[0] for sign in (1, -1))
+    difference = (ahead - back) / (2 * step)
     assert difference != 0
     assert_allclose(slopes[1], difference, rtol=1e-4)
 
@@ -156,16 +174,15 @@ def test_contact_never_creates_energy():
     arm = arm_among(damping=2.0, friction=0.4)
     angles, rates, strain = pressed_states(arm, 40)
 
-    def power(q, v, s):
-        """Of the torques, and of what is stored: flattening, and skin that is held."""
-        met = touch(arm, q, v, s)
-        held = arm.contact.hold(s, met.normal)
-        stored = jax.jvp(lambda q: contact_energy(arm, q), (q,), (v,))[1]
-        stretched = arm.contact.friction_stiffness * jnp.sum(held * met.slip)
-        return met.torque @ v + stored + stretched, jnp.abs(met.torque @ v)
-
-    total, size = jax.jit(jax.vmap(power))(angles, rates * 3, strain)
-    assert np.all(np.asarray(total) < 1e-10 * np.asarray(size) + 1e-12)
+    state = (angles, rates * 3, strain)
+    met, _ = touch_along(arm, state, state)
+    # Of the torques, and of what is stored: flattening, and skin that is held.
+    power = np.sum(met.torque * state[1], axis=1)
+    stored = energy_along(arm, angles, state[1])[1]
+    held = jax.jit(jax.vmap(arm.contact.hold))(strain, met.normal)
+    stretched = float(arm.contact.friction_stiffness) * np.sum(held * met.slip, axis=(1, 2))
+    total, size = power + np.asarray(stored) + stretched, np.abs(power)
+    assert np.all(total < 1e-10 * size + 1e-12)
     assert np.median(-total / size) > 0.01
 
 

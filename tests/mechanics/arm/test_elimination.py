@@ -21,8 +21,10 @@ from giajax.mechanics.arm import (
 )
 from peers.arms import driven_arm, full_arm, general_arm, random_states
 
-# One piece, two, three and four.
-LINKS = [2, 48, 49, 130, 160]
+# One piece, two, three and four, and each kind of armature in few pieces and in several.
+CASES = [
+    (2, None), (2, "one"), (2, "each"), (48, None), (49, "each"), (130, "one"), (160, None),
+]  # fmt: skip
 
 
 def factors(arm, angles):
@@ -34,8 +36,7 @@ def states(links, seed=0):
     return {name: value[0] for name, value in random_states(links, 1, seed=seed).items()}
 
 
-@pytest.mark.parametrize("links", LINKS)
-@pytest.mark.parametrize("armature", [None, "one", "each"])
+@pytest.mark.parametrize(("links", "armature"), CASES)
 def test_pieces_solve_with_the_whole_mass_matrix(links, armature):
     random = np.random.default_rng(links)
     arm, _ = driven_arm(links)

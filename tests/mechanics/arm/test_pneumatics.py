@@ -9,11 +9,11 @@ from jax.flatten_util import ravel_pytree
 from numpy.testing import assert_allclose
 
 from giajax import InputError
+from giajax.mechanics import arm as mechanics, joint as statics
 from giajax.mechanics.arm import (
     Pneumatics,
     acceleration,
     chain,
-    joint_torque,
     muscle_power,
     potential_energy,
 )
@@ -25,9 +25,11 @@ from giajax.mechanics.joint import (
     Piston,
     branch_angles,
     muscle_path,
-    net_torque,
     pair_command,
 )
+
+joint_torque = eqx.filter_jit(mechanics.joint_torque)
+net_torque = eqx.filter_jit(statics.net_torque)
 
 LINKS = 4
 PAIR = Pneumatics((1,)).pair
