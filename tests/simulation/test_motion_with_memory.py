@@ -65,7 +65,7 @@ def by_fixed_steps(arm, command, count):
 
 @functools.cache
 def referred_to(law):
-    return np.asarray(by_fixed_steps(arm_with(LAWS[law]), to_and_fro(), 20_000)[999::1000])
+    return np.asarray(by_fixed_steps(arm_with(LAWS[law]), to_and_fro(), 40_000)[1999::2000])
 
 
 @pytest.mark.parametrize("solver", ["springs5", pytest.param("tsit5", marks=pytest.mark.slow)])
