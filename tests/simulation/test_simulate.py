@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-import giajax.simulation._integrate as module
+import giajax.simulation._simulate as module
 from giajax.mechanics.arm import link_centres, takeichi_20m, tip_position
 from giajax.runtime.text import InputError
 from giajax.schema.parameters import replace

@@ -59,13 +59,22 @@ from ._quantities_arm import (
     AIR as AIR,
     BASE as BASE,
     BUOYANCY as BUOYANCY,
+    CAMERA as CAMERA,
     CONTACT as CONTACT,
+    ENCODER as ENCODER,
+    GAS as GAS,
     INITIAL as INITIAL,
     JOINT_MEMORY as JOINT_MEMORY,
     JOINT_STOPS as JOINT_STOPS,
     JOINTS as JOINTS,
+    LANDMARK as LANDMARK,
     LINKS as LINKS,
+    MARKER as MARKER,
+    PINHOLE as PINHOLE,
     POINT_MASSES as POINT_MASSES,
+    PORTS as PORTS,
+    SKIN as SKIN,
+    SUPPLY as SUPPLY,
 )
 from ._quantities_joint import (
     ALPHA as ALPHA,
@@ -88,17 +97,6 @@ from ._quantities_joint import (
     PRANDTL_ISHLINSKII as PRANDTL_ISHLINSKII,
     PREISACH as PREISACH,
     STOP as STOP,
-)
-from ._quantities_sensors import (
-    CAMERA as CAMERA,
-    ENCODER as ENCODER,
-    GAS as GAS,
-    LANDMARK as LANDMARK,
-    MARKER as MARKER,
-    PINHOLE as PINHOLE,
-    PORTS as PORTS,
-    SKIN as SKIN,
-    SUPPLY as SUPPLY,
 )
 
 KINDS: dict[str, Kind] = {kind.name: kind for kind in vars().values() if isinstance(kind, Kind)}

@@ -26,26 +26,24 @@ from ._quantities_arm import (
     AIR,
     BASE,
     BUOYANCY,
+    CAMERA,
     CONTACT,
+    ENCODER,
+    GAS,
     INITIAL,
     JOINT_MEMORY,
     JOINT_STOPS,
     JOINTS,
-    LINKS,
-    POINT_MASSES,
-)
-from ._quantities_joint import ALPHA, BETA, BRAIDED, DRIVE, EMPIRICAL, GEOMETRY, LOAD, PISTON
-from ._quantities_sensors import (
-    CAMERA,
-    ENCODER,
-    GAS,
     LANDMARK,
+    LINKS,
     MARKER,
     PINHOLE,
+    POINT_MASSES,
     PORTS,
     SKIN,
     SUPPLY,
 )
+from ._quantities_joint import ALPHA, BETA, BRAIDED, DRIVE, EMPIRICAL, GEOMETRY, LOAD, PISTON
 
 _PLACES = re.compile("room|tip|link([0-9]{2,})")
 _MOST_PIXELS = 1_000_000

@@ -4,12 +4,6 @@
 """
 
 from ._controller import first_turn as first_turn, step_size_controller as step_size_controller
-from ._integrate import (
-    StepsFor as StepsFor,
-    check_steps_for as check_steps_for,
-    integrate as integrate,
-    is_disturbance as is_disturbance,
-)
 from ._linearly_implicit import (
     SOLVERS as SOLVERS,
     LinearlyImplicit as LinearlyImplicit,
@@ -23,21 +17,30 @@ from ._motion import (
     pull as pull,
     springs as springs,
 )
-from ._pressures import Pressures as Pressures, check_muscles as check_muscles
 from ._return_mapping import (
     angle_after as angle_after,
     turns as turns,
     with_return_mapping as with_return_mapping,
 )
 from ._signal import (
+    Pressures as Pressures,
     Signal as Signal,
+    check_muscles as check_muscles,
     constant as constant,
     last_before as last_before,
     logged as logged,
     ramps as ramps,
     steps as steps,
 )
-from ._simulate import MAX_STEPS as MAX_STEPS, check_wind as check_wind, simulate as simulate
+from ._simulate import (
+    MAX_STEPS as MAX_STEPS,
+    StepsFor as StepsFor,
+    check_steps_for as check_steps_for,
+    check_wind as check_wind,
+    integrate as integrate,
+    is_disturbance as is_disturbance,
+    simulate as simulate,
+)
 from ._stepper import Moment as Moment, Stepper as Stepper
 from ._trajectory import (
     RESULTS as RESULTS,

@@ -20,8 +20,7 @@ from ..mechanics.arm import (
     touch,
 )
 from ..runtime.arrays import Array, Float, Scalar
-from ._pressures import Pressures
-from ._signal import Signal
+from ._signal import Pressures, Signal
 
 
 class Rates(NamedTuple):

@@ -15,9 +15,8 @@ from ..runtime.text import InputError
 from ..schema.parameters import is_concrete
 from ._linearly_implicit import solver as solver_named
 from ._motion import Inputs, State, motion
-from ._pressures import check_muscles
 from ._return_mapping import with_return_mapping
-from ._signal import Signal, constant
+from ._signal import Signal, check_muscles, constant
 
 
 class Moment(eqx.Module):
