@@ -116,8 +116,8 @@ def install(path: list[str]) -> None:
     """Have the earlier modules found; called once, where `giajax` is imported, with its path."""
     if _Finder not in sys.path_hooks:
         sys.path_hooks.append(_Finder)
-    # Before all others: folders that an earlier version has left are packages to Python's own.
-    path.insert(0, _PLACE)
+    # After the folder of the package: what an earlier version left in it has no loader, and waits.
+    path.append(_PLACE)
 
 
 class _Finder(importlib.abc.PathEntryFinder, importlib.abc.Loader):

@@ -114,8 +114,8 @@ class PadMapping:
             row[places] = np.deg2rad(preset.angles_deg)
             presets[preset.name] = row
         stated = section.buttons or []
-        buttons = {each.button: each.preset for each in stated if each.preset is not None}
-        for button, name in buttons.items():
+        goes = [(each.button, each.preset) for each in stated if each.preset is not None]
+        for button, name in goes:
             if name not in presets:
                 raise InputError(
                     f"{source}: button {button} goes to '{name}', which is no preset: add it to "
@@ -124,7 +124,7 @@ class PadMapping:
         return cls(
             axes,
             presets,
-            buttons,
+            dict(goes),
             frozenset(each.button for each in stated if each.stop),
             frozenset(each.button for each in stated if each.dead_man),
             section.dead_zone,

@@ -261,7 +261,8 @@ def ends(block: Block, extent: float) -> Float[np.ndarray, "2 3"] | None:
 
 def segments(scene: Scene, sample: int, *, bodies: bool) -> tuple[np.ndarray, ...]:
     """Starts, ends and radii of the pieces of bodies, or of threads."""
-    pieces = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
+    none = np.zeros((0, 3), np.float32)
+    pieces = [(none, none, none[:, 0])]
     for line in scene.lines:
         if bool(np.any(line.radii > 0)) is bodies:
             points, radii = line.points[sample], (line.radii[1:] + line.radii[:-1]) / 2

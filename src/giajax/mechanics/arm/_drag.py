@@ -84,7 +84,7 @@ class AbstractDragLaw(eqx.Module):
     """What the air does to a link, place by place: `force`, and at how many `points`.
 
     Its parameters are declared as all others (`giajax.schema.parameters.parameter`) and have paths
-    as `air.law.NAME`. `giajax.testing.check_drag_law` tests a law.
+    as `air.law.NAME`. `check_drag_law` tests a law.
     """
 
     registered_as: ClassVar[str] = "drag"
