@@ -167,8 +167,8 @@ def with_finer_tolerance(state: FitState, *, surely: bool = False) -> FitState |
 
     Steps of the integrator come and go as the parameters change, by which residuals jump. Near the
     optimum the jumps of the cost are larger than what a step could gain. None where the tolerance
-    is stated or as fine as may be, or the cost smooth enough; that is not asked where it is
-    `surely` not.
+    is stated or as fine as may be, or the cost smooth enough; whether it is smooth is not asked
+    where it is `surely` the tolerance.
     """
     if not state.setup.chooses_tolerance:
         return None

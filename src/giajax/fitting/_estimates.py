@@ -318,7 +318,6 @@ def _held(model: AbstractModel, free: tuple[str, ...]) -> dict[str, Estimate]:
 
 
 def unit_and_bounds(declaration: Declaration) -> dict[str, Any]:
-    """What a declaration says of an estimate."""
-    bounds = {"lower": declaration.lower, "upper": declaration.upper}
-    finite = {name: bound if np.isfinite(bound) else None for name, bound in bounds.items()}
-    return {"unit": declaration.unit, **finite}
+    """What a declaration says of an estimate; bounds are floats, whose text is in keys."""
+    lower, upper = finite_or_none(declaration.lower), finite_or_none(declaration.upper)
+    return {"unit": declaration.unit, "lower": lower, "upper": upper}

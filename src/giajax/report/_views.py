@@ -73,7 +73,8 @@ class RecordView(Generic[R]):
     place: int = 9
 
     def __post_init__(self) -> None:
-        _VIEWS[self.record] = self
+        # Those of giajax are made when one is looked for, and do not replace another one.
+        _VIEWS.setdefault(self.record, self)
 
 
 _VIEWS: dict[type[Any], RecordView[Any]] = {}

@@ -96,8 +96,10 @@ def noise_table(result: FitResult) -> Table:
         for name, c in run.channels.items():
             size = [c.unit or "-", str(c.n), _number(c.rmse), _number(c.noise)]
             ratio = f"{c.rmse / c.noise:.2f}" if c.rmse is not None and c.noise else "-"
-            memory = f"{c.correlated:.3g} over {c.correlation_time_s:.3g} s"
-            rows.append([run.name, name, *size, ratio, memory if c.correlated else "-"])
+            memory = "-"
+            if c.correlated:
+                memory = f"{c.correlated:.3g} over {c.correlation_time_s:.3g} s"
+            rows.append([run.name, name, *size, ratio, memory])
     headings = ["run", "channel", "unit", "values", "RMSE", "noise", "RMSE / noise", "with memory"]
     return Table(headings, rows, 3)
 
