@@ -43,4 +43,4 @@ def test_an_overridden_method_would_be_seen():
         def reset(self):
             return None
 
-    assert list(overridden(Loose)) == ["Loose.reset of Play"]
+    assert list(overridden(Loose)) == ["Loose.reset of AbstractPlays"]

@@ -17,7 +17,7 @@ class FullnessDrag(AbstractDragLaw):
         1.0, unit="", lower=0, frozen=False, doc="C_D of a full link at Re = 1e5"
     )
     limp: jax.Array = parameter(0.5, unit="", lower=0, upper=10, doc="more of C_D, of an empty one")
-    points: int = 3
+    points = 3
 
     def force(self, stream):
         speed = safe_norm(stream.across)

@@ -34,6 +34,10 @@ def test_the_truth_is_recovered_with_honest_errors():
     assert result.conditions == ("about amplitude", "about decay", "about offset")
     assert result.gradient_check.relative_difference < 1e-7
     assert [entry.number for entry in result.history] == list(range(result.iterations + 1))
+    # Keys of studies are made of the text of a result, where 0 is not 0.0.
+    bounds = [b for e in result.parameters.values() for b in (e.lower, e.upper) if b is not None]
+    assert bounds
+    assert all(type(bound) is float for bound in bounds)
 
 
 def test_noise_that_nobody_stated_is_estimated():

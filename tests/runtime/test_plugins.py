@@ -1,13 +1,22 @@
 """Plug-ins: files that register what is not in the package."""
 
-import importlib
 import sys
+from typing import NamedTuple
 
 import pytest
 
 import giajax
 from giajax import InputError
-from giajax.runtime.plugins import checksum, load_plugin, plugins, registered, sources_of
+from giajax.runtime import plugins as _plugins
+from giajax.runtime.plugins import (
+    check_sources,
+    hint,
+    load_plugin,
+    plugins,
+    registered,
+    source,
+    sources_of,
+)
 from giajax.runtime.programs import content, structure
 
 pytestmark = pytest.mark.quick
@@ -18,37 +27,63 @@ from giajax.mechanics.arm import AbstractDragLaw
 
 @giajax.register
 class {name}(AbstractDragLaw):
-    points: int = 0
+    points = 0
 
     def force(self, stream):
         return -{factor} * stream.velocity
 """
 
 
+def loaded_anew(path):
+    """As a new process would."""
+    sys.modules.pop(path.stem, None)
+    _plugins._PLUGINS.clear()
+    source.cache_clear()
+    load_plugin(path)
+    return registered("drag", "EditedLaw")()
+
+
+class Air(NamedTuple):
+    velocity: float
+
+
 def test_an_edited_plug_in_is_another_program_and_another_task(tmp_path):
-    path = tmp_path / "edited_law.py"
-    texts = []
+    path, texts = tmp_path / "edited_law.py", []
     for factor in (1.0, 1.0, 2.0):
+        # Within a second, and as long: bytecode of before would be taken for that of now.
         path.write_text(LAW.format(name="EditedLaw", factor=factor))
-        # As a new process would.
-        sys.modules.pop("edited_law", None)
-        plugins_of = importlib.import_module("giajax.runtime.plugins")
-        plugins_of._PLUGINS.clear()
-        checksum.cache_clear()
-        load_plugin(path)
-        law = registered("drag", "EditedLaw")()
+        law = loaded_anew(path)
         texts.append((structure(law), content(law)))
-        assert list(sources_of(type(law))) == ["edited_law.py"]
+        assert list(sources_of(law)) == ["edited_law.py"]
+        assert law.force(Air(-1.0)) == factor
     assert texts[0] == texts[1]
     assert texts[0][0] != texts[2][0]
     assert texts[0][1] != texts[2][1]
-    assert plugins() == (path,)
 
 
-def test_code_of_giajax_and_of_libraries_has_no_sum():
-    assert checksum("giajax.models._arm") == checksum("numpy") == checksum("json") == ""
-    assert checksum("nowhere") == ""
-    assert checksum(__name__) != ""
+def test_results_and_workers_are_of_the_plug_in_that_was_used(tmp_path):
+    path = tmp_path / "used_law.py"
+    path.write_text(LAW.format(name="UsedLaw", factor=1.0))
+    load_plugin(path)
+    versions = {"jax": "1", **sources_of(registered("drag", "UsedLaw")())}
+    digest = plugins()[path]
+    check_sources(versions)
+    with pytest.raises(InputError, match=r"used_law.py has changed since: give the one of then"):
+        check_sources({"used_law.py": "sha256 0"})
+    _plugins._PLUGINS.clear()
+    del sys.modules["used_law"]
+    assert "give --plugin used_law.py" in hint(versions)
+    path.write_text(LAW.format(name="UsedLaw", factor=2.0))
+    with pytest.raises(InputError, match=r"used_law.py has changed while it was in use"):
+        load_plugin(path, digest)
+    assert "no-such-package 2.0: install it" in hint({"no-such-package": "2.0"})
+
+
+def test_code_of_giajax_and_of_its_libraries_has_no_mark():
+    for module in ("giajax.models._arm", "numpy", "json", "nowhere"):
+        assert source(module) is None
+    assert source("pytest") == ("pytest", pytest.__version__)
+    assert source(__name__)[0] == "test_plugins.py"
 
 
 @pytest.mark.parametrize(
@@ -57,7 +92,7 @@ def test_code_of_giajax_and_of_libraries_has_no_sum():
         ("law.txt", "", "is no plug-in: give a Python file"),
         ("my-law.py", "", "is no plug-in"),
         ("absent_law.py", None, "there is no plug-in .*absent_law.py: correct the path"),
-        ("json.py", "", "is called as the module 'json': give it another name"),
+        ("json.py", "", "is called as another module, 'json': give it another name"),
         ("wrong_law.py", "1 / 0", r"cannot be imported \(ZeroDivisionError: division by zero\)"),
         ("wrong_words.py", "def", r"cannot be imported \(SyntaxError"),
     ],
@@ -84,8 +119,14 @@ def test_what_is_registered_is_of_a_class_that_giajax_takes_and_has_a_name_of_it
     # A cell of a notebook that is run again.
     second = giajax.register(made("one"))
     assert registered("drag", "Twice") is second
-    with pytest.raises(InputError, match="there is a drag 'Twice' of one already: give two's"):
+    with pytest.raises(
+        InputError, match="there is a drag 'Twice' already: give yours another name"
+    ):
         giajax.register(made("two"))
+    for name in ("strip", "a+b"):
+        body = {"points": 0, "force": lambda self, stream: None, "kind": name}
+        with pytest.raises(InputError, match="already: give yours another name"):
+            giajax.register(type(name, (giajax.mechanics.arm.AbstractDragLaw,), body))
 
 
 def test_a_package_is_found_by_its_entry_point(monkeypatch):
@@ -97,6 +138,6 @@ def test_a_package_is_found_by_its_entry_point(monkeypatch):
     def entries(group, name):
         return [Entry()] if (group, name) == ("giajax.drags", "Packaged") else []
 
-    monkeypatch.setattr("giajax.runtime.plugins.entry_points", entries)
+    monkeypatch.setattr("giajax.runtime.plugins.metadata.entry_points", entries)
     assert registered("drag", "Packaged").__module__ == "law_package"
     assert registered("drag", "Other") is None

@@ -22,7 +22,7 @@ _TRAVEL = 1 / 3  # a third of the range: short against the range, long against t
 _ROUNDING = 1e-6  # an excess over the reachable range that is rounding of a file
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(eq=False)
 class Compensator:
     """From a history of target outputs to one of inputs, both SI.
 

@@ -7,9 +7,8 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
-from typing import Any, Unpack
+from typing import Unpack
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -85,20 +84,11 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         tolerance_effect=done.tolerance,
         conditions=tuple(capabilities.conditions(model, moved, setup.runs)),
         seconds=Seconds(compile=compiling, run=elapsed - compiling),
-        versions={**versions(), **sources_of(*_classes(model))},
+        versions={**versions(), **sources_of(model)},
         config={**setup.config, "max_iterations": max_iterations},
         history=state.history,
         predictions=tuple(predictions),
     )
-
-
-def _classes(model: AbstractModel) -> set[type]:
-    """Of a model and all of its parts."""
-    parts: list[Any] = [model]
-    for part in parts:
-        inside = vars(part).values() if isinstance(part, eqx.Module) else part
-        parts += [each for each in inside if isinstance(each, eqx.Module | tuple)]
-    return {type(part) for part in parts if isinstance(part, eqx.Module)}
 
 
 def _lengths(state: FitState) -> list[tuple[str, float]]:

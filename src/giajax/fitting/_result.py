@@ -13,7 +13,7 @@ import numpy as np
 from ..models import AbstractModel, Channels, build_model, capabilities
 from ..noise import Verdict
 from ..recordings import SCHEMA_VERSION, Run, stored_result
-from ..runtime.plugins import hint
+from ..runtime.plugins import check_sources, hint
 from ..runtime.programs import program
 from ..runtime.records import from_plain, json_text
 from ..runtime.text import InputError
@@ -291,6 +291,7 @@ def load_result(path: str | Path) -> FitResult:
     kind = record.pop("model")
     fields = _fields(record, what)
     values = {path: estimate.value for path, estimate in fields["parameters"].items()}
+    check_sources(fields["versions"])
     try:
         return _of(fields, build_model(kind, fields["config"]["definition"], values))
     except InputError as error:

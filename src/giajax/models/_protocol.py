@@ -137,6 +137,7 @@ class AbstractModel(eqx.Module):
     """
 
     registered_as: ClassVar[str] = "model"
+    names_of_giajax: ClassVar[Sequence[str]] = tuple(KINDS)
 
     @property
     @abc.abstractmethod

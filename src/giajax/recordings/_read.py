@@ -33,11 +33,7 @@ def selected(
     """The runs of a fit with these channels, in windows of so many seconds.
 
     Of runs of several models each has those of the channels that are its model's, and those
-    without an initial state stay whole.
-
-    Arguments:
-        channels: names without unit; None for all that were measured.
-        beside: further runs that the same is asked of.
+    without an initial state stay whole. Without channels they are all that were measured.
 
     Raises:
         InputError: as `observing` and `windows`, or a channel that none of them measures.

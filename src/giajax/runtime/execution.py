@@ -10,7 +10,7 @@ import threading
 import time
 import traceback
 from collections import OrderedDict, deque
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -67,16 +67,8 @@ def identity() -> str:
 def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
     """Do a task, unless it has a file in the folder, and write that if it is done.
 
-    Whatever the function raises is an outcome, too.
-
-    Arguments:
-        task, folder: what to do, and where files are.
-        home: `identity` of the process whose tasks these are; another one gets ready first.
-        own: whether that is a process of giajax's own (`giajax.runtime.process`).
-
-    Raises:
-        InputError: the file cannot be written.
-        KeyboardInterrupt: it was stopped.
+    Whatever the function raises is an outcome, too; what is stopped raises `KeyboardInterrupt`.
+    Another process than `home`, whose tasks these are, gets ready first, as one of its `own` does.
     """
     if home != identity():
         get_ready(own)
@@ -118,7 +110,7 @@ def get_ready(own: bool) -> None:
     configure()
 
 
-def begin_process(own: bool, alive: Connection, added: Sequence[Path] = ()) -> None:
+def begin_process(own: bool, alive: Connection, added: Mapping[Path, str]) -> None:
     """Begin a process of `Processes`, which ends when its parent closes the other end of a pipe.
 
     That is closed where the parent is killed, too. Plug-ins are those of the parent.
@@ -127,8 +119,8 @@ def begin_process(own: bool, alive: Connection, added: Sequence[Path] = ()) -> N
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(alive,), daemon=True).start()
     get_ready(own)
-    for path in added:
-        load_plugin(path)
+    for path, digest in added.items():
+        load_plugin(path, digest)
 
 
 def _end_with(alive: Connection) -> None:
@@ -226,15 +218,10 @@ class Processes(Executor):
 
 @contextlib.contextmanager
 def open_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
-    """The executor that `--workers` and `--scheduler` ask for, until the block ends.
+    """The executor of `run_tasks` that `--workers` and `--scheduler` ask for, until the block ends.
 
-    Arguments:
-        workers: processes of this machine; None or 1 for this process alone.
-        scheduler: address of that of a cluster of dask.distributed (`tcp://host:8786`), whose
-            workers have this version of giajax and see the same files.
-
-    Yields:
-        What `run_tasks` takes.
+    So many processes of this machine (None or 1: this one), or a cluster of dask.distributed at
+    `tcp://host:8786`, whose workers have this version of giajax and see the same files.
 
     Raises:
         InputError: both were asked for, a number that is none, no such scheduler, or
@@ -244,6 +231,11 @@ def open_executor(workers: int | None = None, scheduler: str | None = None) -> I
         if workers is not None:
             raise InputError(
                 "there are both workers of this machine and a scheduler: give one of them"
+            )
+        if added := [path.name for path in plugins()]:
+            raise InputError(
+                f"the workers of a cluster lack the plug-in {added[0]}: install it there as a "
+                "package, or leave the scheduler out"
             )
         with _connected(scheduler) as client:
             yield client.get_executor(pure=False)

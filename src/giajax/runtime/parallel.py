@@ -35,15 +35,8 @@ def run_in_threads(
     What a job tells is called in the thread of the caller, and in the order of the jobs: of a later
     one it waits until the earlier ones have ended. After Ctrl-C, or where what is told raises
     `KeyboardInterrupt`, the jobs that run are stopped by the next thing that they tell, and the
-    others do not begin.
-
-    Arguments:
-        jobs: functions of `tell`; what a job returns when it is stopped is its result, too.
-        most: so many at once.
-        until: of a result, whether it stops the others.
-
-    Returns:
-        The results in their order; None of a job that did not begin.
+    others do not begin: their result is None. What a job returns when it is stopped is its result,
+    too. At most so many run at once, until a result stops the others.
     """
     if most == 1:
         results: list[Result | None] = [None] * len(jobs)

@@ -5,22 +5,26 @@ model. Files call it by its name. What is registered is what runs: no file that 
 code with it, and a result says which code it was made with.
 """
 
+import dataclasses
 import functools
 import hashlib
 import importlib.util
 import sys
 import sysconfig
 from collections.abc import Mapping
-from importlib.metadata import entry_points, packages_distributions, version
+from importlib import metadata
+from importlib.metadata import version
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
-from .text import InputError
+from .text import InputError, one_of
 
 Registered = TypeVar("Registered", bound=type)
 
 _CLASSES: dict[str, dict[str, Any]] = {}
-_PLUGINS: list[Path] = []
+_PLUGINS: dict[Path, str] = {}  # with the SHA-256 of what was run
+_SUM = "sha256 "
 
 
 def register(cls: Registered) -> Registered:
@@ -30,23 +34,23 @@ def register(cls: Registered) -> Registered:
     of that name instead, of the group `giajax.models` or `giajax.drags`.
 
     Raises:
-        InputError: it is of no class that giajax knows, or another one has its name.
+        InputError: it is of no class that giajax knows, lacks a method, or has the name of another.
     """
-    role = getattr(cls, "registered_as", None)
+    role, name = getattr(cls, "registered_as", None), name_of(cls)
     if role is None:
         raise InputError(
             f"{cls.__name__} is of no class that giajax takes: derive it from one, such as "
             "giajax.AbstractModel or giajax.mechanics.arm.AbstractDragLaw"
         )
-    name = name_of(cls)
-    known = _CLASSES.setdefault(role, {}).setdefault(name, cls)
+    if absent := getattr(cls, "__abstractmethods__", ()):
+        raise InputError(f"{cls.__name__} has no {one_of(sorted(absent))}: write it")
+    classes = _CLASSES.setdefault(role, {})
+    known = classes.get(name, cls)
     # A notebook runs a cell again, which makes the class anew.
-    if (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
-        raise InputError(
-            f"there is a {role} '{name}' of {known.__module__} already: give {cls.__module__}'s "
-            "another name"
-        )
-    _CLASSES[role][name] = cls
+    again = (known.__module__, known.__qualname__) == (cls.__module__, cls.__qualname__)
+    if not again or "+" in name or name in getattr(cls, "names_of_giajax", ()):
+        raise InputError(f"there is a {role} '{name}' already: give yours another name")
+    classes[name] = cls
     return cls
 
 
@@ -59,32 +63,41 @@ def name_of(cls: type) -> str:
 def registered(role: str, name: str) -> Any | None:
     """The class of a role and a name; None where there is none."""
     if (found := _CLASSES.get(role, {}).get(name)) is None:
-        for entry in entry_points(group=f"giajax.{role}s", name=name):
-            return register(entry.load())
+        for entry in metadata.entry_points(group=f"giajax.{role}s", name=name):
+            try:
+                return register(entry.load())
+            except ImportError as error:
+                raise InputError(f"the {role} '{name}' cannot be imported: {error}") from error
     return found
 
 
-def load_plugin(path: Path) -> None:
-    """Import a file that registers something; what it needs must be installed, or in it.
+def load_plugin(path: Path, digest: str = "") -> None:
+    """Run a file that registers something; what it needs must be installed, or in it.
 
     Raises:
-        InputError: there is no such file, a module has its name, or it raises an error.
+        InputError: there is no such file, a module has its name, it raises an error, or it is not
+            the one of this SHA-256, which another process has run.
     """
-    path = path.resolve()
+    path, name = path.resolve(), path.stem
     if path in _PLUGINS:
         return
-    name = path.stem
     if path.suffix != ".py" or not name.isidentifier():
         raise InputError(f"{path} is no plug-in: give a Python file, such as laws.py")
-    if not path.is_file():
-        raise InputError(f"there is no plug-in {path}: correct the path")
     other = importlib.util.find_spec(name)
     if name in sys.modules or (other is not None and other.origin != str(path)):
-        raise InputError(f"{path} is called as the module '{name}': give it another name")
-    spec: Any = importlib.util.spec_from_file_location(name, path)
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+        raise InputError(f"{path} is called as another module, '{name}': give it another name")
     try:
-        spec.loader.exec_module(module)
+        data = path.read_bytes()
+    except OSError:
+        raise InputError(f"there is no plug-in {path}: correct the path") from None
+    found = hashlib.sha256(data).hexdigest()
+    if digest not in ("", found):
+        raise InputError(f"{path} has changed while it was in use: begin again")
+    module = sys.modules[name] = ModuleType(name)
+    module.__file__ = str(path)
+    try:
+        # What was read is run, and no older bytecode of it.
+        exec(compile(data, str(path), "exec"), vars(module))
     except Exception as error:
         del sys.modules[name]
         if isinstance(error, InputError):
@@ -92,49 +105,80 @@ def load_plugin(path: Path) -> None:
         raise InputError(
             f"the plug-in {path} cannot be imported ({type(error).__name__}: {error}): correct it"
         ) from error
-    _PLUGINS.append(path)
-    checksum(name)
+    _PLUGINS[path] = found
 
 
-def plugins() -> tuple[Path, ...]:
-    """The plug-ins of this process, which its workers need, too."""
-    return tuple(_PLUGINS)
+def plugins() -> Mapping[Path, str]:
+    """The plug-ins of this process, which its workers need, too, with their SHA-256."""
+    return dict(_PLUGINS)
 
 
 @functools.cache
-def checksum(module: str) -> str:
-    """SHA-256 of the file of a module that is neither giajax nor installed; empty for others.
+def source(module: str) -> tuple[str, str] | None:
+    """Where a module is from that is neither giajax nor what it needs: a file or a package.
 
-    An installed package is known by its version, and is not edited.
+    With the sum of the file, or the version of the package.
     """
+    package = module.partition(".")[0]
     path = getattr(sys.modules.get(module), "__file__", None)
-    if path is None or module.partition(".")[0] == __name__.partition(".")[0]:
-        return ""
+    if path is None or package in _OURS or package in sys.stdlib_module_names:
+        return None
     path = Path(path).resolve()
-    installed = map(sysconfig.get_path, ("stdlib", "platstdlib", "purelib", "platlib"))
-    if any(path.is_relative_to(Path(root).resolve()) for root in installed):
-        return ""
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+    if any(path.is_relative_to(sysconfig.get_path(name)) for name in ("purelib", "platlib")):
+        names = metadata.packages_distributions().get(package, ())
+        return (names[0], version(names[0])) if names else None
+    digest = _PLUGINS.get(path) or hashlib.sha256(path.read_bytes()).hexdigest()
+    return path.name, _SUM + digest
 
 
-def sources_of(*classes: type) -> dict[str, str]:
-    """Where classes that are not giajax's come from: version of a package, or sum of a file."""
-    found = {}
-    for module in {cls.__module__ for cls in classes}:
-        package = module.partition(".")[0]
-        if package == __name__.partition(".")[0]:
-            continue
-        if digest := checksum(module):
-            found[Path(str(sys.modules[module].__file__)).name] = f"sha256 {digest}"
-        else:
-            for distribution in packages_distributions().get(package, ())[:1]:
-                found[distribution] = version(distribution)
-    return found
+# Their versions are in every key, and in every result.
+_OURS = {"giajax", "jax", "jaxlib", "jaxtyping", "equinox", "diffrax", "optimistix", "lineax"}
+_OURS |= {"numpy", "scipy", "pydantic", "polars"}
+
+
+def mark(value: Any) -> str:
+    """Text that differs where the source of a class and its bases, or a function, does."""
+    classes = value.__mro__ if isinstance(value, type) else (value,)
+    modules = dict.fromkeys(each.__module__ for each in classes)
+    return "".join(map(str, filter(None, map(source, modules))))
+
+
+def sources_of(tree: Any) -> dict[str, str]:
+    """Files and packages of the classes in a tree that are not giajax's, as of `source`."""
+    parts: list[Any] = [tree]
+    modules: dict[str, None] = {}
+    for part in parts:
+        if dataclasses.is_dataclass(part):
+            cls: Any = type(part)
+            modules |= dict.fromkeys(each.__module__ for each in cls.__mro__)
+            parts += vars(part).values()
+        elif isinstance(part, tuple | list):
+            parts += part
+    return dict(filter(None, map(source, modules)))
+
+
+def check_sources(versions: Mapping[str, str]) -> None:
+    """Refuse to go on from what was made with another file of the name of a registered one.
+
+    Raises:
+        InputError: naming the file.
+    """
+    classes = [cls for known in _CLASSES.values() for cls in known.values()]
+    now = dict(filter(None, (source(cls.__module__) for cls in classes)))
+    for name, text in versions.items():
+        if text.startswith(_SUM) and now.get(name, text) != text:
+            raise InputError(f"{name} has changed since: give the one of then, or fit anew")
 
 
 def hint(versions: Mapping[str, str]) -> str:
-    """What to do where a result of these sources names what is not registered; may be empty."""
-    loaded = {path.name for path in _PLUGINS}
-    files = (name for name, text in versions.items() if text.startswith("sha256 "))
-    absent = [name for name in files if name not in loaded]
-    return f" (it was made with {absent[0]}: give --plugin {absent[0]})" if absent else ""
+    """What to give or install where these are of a result that cannot be loaded; may be empty."""
+    loaded = {Path(str(getattr(each, "__file__", ""))).name for each in sys.modules.values()}
+    for name, text in versions.items():
+        if text.startswith(_SUM) and name not in loaded:
+            return f" (it was made with {name}: give --plugin {name})"
+        if not text.startswith(_SUM) and name != "python":
+            try:
+                version(name)
+            except metadata.PackageNotFoundError:
+                return f" (it was made with {name} {text}: install it)"
+    return ""

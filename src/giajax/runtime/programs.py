@@ -23,7 +23,7 @@ import numpy as np
 from jax import export
 
 from .identities import fields_of, identity
-from .plugins import checksum, plugins
+from .plugins import mark, plugins
 
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 
@@ -125,7 +125,7 @@ class _Traced(_Description):
             yield ","
 
     def name(self, value: Any) -> str:
-        return f"{value.__module__}.{_qualified(value)}{checksum(value.__module__)}"
+        return f"{value.__module__}.{_qualified(value)}{mark(value)}"
 
     def other(self, value: Any) -> Iterator[str]:
         raise NoStructureError(f"there is no description of {type(value)}")
@@ -146,7 +146,7 @@ class _Kept(_Description):
         place = f"{value.__module__}:{_qualified(value)}"
         # Of a plug-in what it is, too; of what Python itself imported the name, as ever.
         added = value.__module__ in {path.stem for path in plugins()}
-        return identity(place).replace(":", ".") + checksum(value.__module__) * added
+        return identity(place).replace(":", ".") + mark(value) * added
 
     def other(self, value: Any) -> Iterator[str]:
         if isinstance(value, PurePath):

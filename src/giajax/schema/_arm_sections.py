@@ -331,8 +331,8 @@ class _Surroundings(_Links):
 def _known_drag(word: str) -> str:
     if word not in ("centre", "strip") and registered("drag", word) is None:
         raise ValueError(
-            f'names {shown(word)}, but must name "centre", "strip" or a '
-            "registered law of drag: correct it, or give --plugin FILE.py"
+            f'= {word!r} must be "centre", "strip" or a registered law: correct it, or give '
+            "--plugin FILE.py"
         )
     return word
 

@@ -73,9 +73,6 @@ class _ReturnMapping(diffrax.AbstractAdaptiveSolver):
     along an obstacle catches up in the same way.
 
     Reference: J. C. Simo, T. J. R. Hughes, Computational Inelasticity, Springer 1998, chapter 1.
-
-    Attributes:
-        solver: the method.
     """
 
     solver: diffrax.AbstractAdaptiveSolver

@@ -318,10 +318,6 @@ class PosteriorSummary(
     within: dict[str, dict[str, float | None]]
     warnings: tuple[str, ...]
 
-    def is_of(self, result: FitResult) -> bool:
-        """Whether it is of this fit, and not of another one that was in its place."""
-        return self.cost == result.cost
-
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Posterior:

@@ -10,12 +10,11 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ..fitting import FitResult
 from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
 from ..runtime.records import parse_record
 from ..runtime.text import InputError
-from ._refit import StudyRecord, fit_key
+from ._refit import StudyRecord
 
 PROFILES = "profiles.json"
 Ending: TypeAlias = Literal["level", "bound", "flat", "failed", "unfinished", "stopped"]
@@ -110,10 +109,6 @@ class Profiles(
     def __getitem__(self, name: str) -> Profile:
         """The profile of a quantity."""
         return self.profiles[name]
-
-    def is_of(self, result: FitResult) -> bool:
-        """Whether they are of this fit, and not of another one that was in its place."""
-        return self.fit == fit_key(result)
 
 
 def load_profiles(path: str | Path) -> Profiles:

@@ -278,9 +278,13 @@ class StudyRecord:
     def is_of(self, result: FitResult) -> bool:
         """Whether it is of this fit, and not of another one that was in its place.
 
-        By default: whether the fit ended at the values that the record calls `fitted`.
+        Records say so by the key of the result (`fit`), its values (`fitted`), or its `cost`.
         """
-        return getattr(self, "fitted", None) == end_values(result)
+        known = {"fit": fit_key, "fitted": end_values, "cost": lambda result: result.cost}
+        for name, of in known.items():
+            if (stated := getattr(self, name, None)) is not None:
+                return bool(stated == of(result))
+        return False
 
     def to_json(self) -> str:
         """The text of its file; what is not finite is null."""

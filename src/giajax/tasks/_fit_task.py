@@ -238,19 +238,8 @@ class FitTask:
 
         Arguments:
             data, validation: file or files, in place of those before.
-            settings: to put on top; or give them as keywords.
-            free, per_run: paths, as of `giajax.fit`, in place of those before.
-            start, fix, priors, bounds, ties, groups: by path, as of `giajax.fit`.
-            uncertainty: standard deviations of what is held, SI, by path.
-            channels: names without unit of the channels to fit; all that were measured by default.
-            hold_out: what is not fitted, and must be predicted: names of runs or of channels, or
-                `last`, the last fifth of each recording by time (`last:0.3`); in place of before.
-            window_s: cut each run into windows of this length, s, each with its own start.
-            windows_first_s: do so first, and fit whole runs from where that ends.
-            starts: how many starts (1 by default); the best end is the result.
-            spread, seed: of the other starts: relative distance from the first (0.3), and 0.
-            budget: wall time that the fit may take: "90s", "10m", "2h"; "" for no end.
-            loss, noise_model, noise_per_run, solver, tolerance, max_iterations: as of `giajax.fit`.
+            settings: to put on top; or give its fields as keywords, of which `giajax.FitSettings`
+                says what each is. A budget of "" is none.
             begin: a result, or its file or folder: the fit starts where that one ended, with
                 the initial states of runs of the same name. Parameters that were free or fixed
                 there and are held here are held at their values there. What `start` or `fix`

@@ -23,6 +23,7 @@ from ..fitting import (
     versions,
 )
 from ..recordings import Definition, Run
+from ..runtime.plugins import sources_of
 from ..runtime.text import InputError
 from ..studies import (
     check_uncertainty,
@@ -82,11 +83,8 @@ class Preparation:
     ) -> Iterator[Journal]:
         """The journal of this fit in a folder, which no other fit may write to meanwhile.
 
-        Arguments:
-            folder: where the journal and the result are.
-            resume: go on where the journal ends, in place of beginning it anew.
-            force: begin anew over the journal of a fit that was cut off.
-            complain: called with a sentence where a line cannot be written.
+        To resume goes on where it ends; force begins anew over that of a fit that was cut off. A
+        sentence is complained where a line cannot be written.
 
         Raises:
             InputError: another fit is writing there, the journal cannot be read or is of another
@@ -108,7 +106,8 @@ class Preparation:
                         f"fit --resume {folder}, give another folder, or --force to begin anew"
                     )
                 head = {"task": dict(self.record), "config": dict(self.setup.config)}
-                journal = Journal(folder / JOURNAL, {"versions": versions(), **head})
+                made_by = {**versions(), **sources_of(self.setup.model)}
+                journal = Journal(folder / JOURNAL, {"versions": made_by, **head})
             journal.complain = complain
             try:
                 yield journal

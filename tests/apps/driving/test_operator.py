@@ -221,6 +221,12 @@ def test_messages_that_say_nothing(operator, message, said):
         ("axes = [", "sticks = [", r"unknown key pad\.sticks"),
         ("dead_zone = 0.1", "dead_zone = 1.0", r"pad\.dead_zone = 1.0 must be a number from 0"),
         ('preset = "up"', 'preset = "down"', "button 0 goes to 'down', which is no preset"),
+        # The one of the same button behind it does not hide it.
+        (
+            '{button = 0, preset = "up"}',
+            '{button = 0, preset = "down"}, {button = 0, preset = "up"}',
+            "button 0 goes to 'down', which is no preset",
+        ),
         ('name = "straight"', 'name = "up"', "there are two presets 'up': rename one"),
         ("angles_deg = [20.0]", "angles_deg = [1.0, 2.0]", "has 2 angles for 1 joints"),
         ("[pad]", "[game]", r"\[pad\] must be a table of keys: write it as one"),

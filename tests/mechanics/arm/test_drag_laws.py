@@ -45,13 +45,20 @@ class Square(AbstractDragLaw):
 
     coefficient: jax.Array = parameter(1.2, unit="", lower=0, frozen=False, doc="C_D")
     more: jax.Array | None = parameter(0.5, unit="", lower=0, optional=True, doc="of a limp link")
-    points: int = 4
+    points = 4
 
     def force(self, stream):
         size = 0.5 * stream.density * stream.diameter * self.coefficient
         if self.more is not None:
             size = size * (1 + self.more * (1 - stream.fullness))
         return -scaled(size * safe_norm(stream.across), stream.across)
+
+
+@giajax.register
+class Choosing(Square):
+    """With a choice of its own."""
+
+    power: int = eqx.field(static=True, default=2)
 
 
 def test_a_law_with_the_formula_of_strip_drag_is_strip_drag():
@@ -78,8 +85,8 @@ def test_an_arm_with_a_law_goes_through_its_definition():
     model = giajax.ArmModel(chain(2, drag="Square", parameters={"air.law.more": 0.1}))
     again = giajax.ArmModel.from_definition(model.definition())
     assert eqx.tree_equal(again.arm.air, model.arm.air)
-    other = giajax.ArmModel(chain(2, drag=Square(points=5)))
-    with pytest.raises(InputError, match="Square has points = 5, which no file can state"):
+    other = giajax.ArmModel(chain(2, drag=Choosing(power=1)))
+    with pytest.raises(InputError, match="Choosing has power = 1, which no file can state"):
         other.definition()
 
     class Local(Square):
@@ -118,6 +125,19 @@ class Infinite(Square):
         return super().force(stream) / 0.0
 
 
+class Counted(Square):
+    points: int = 3
+
+
+class Backwards(Square):
+    points = -1
+
+
+class Broken(Square):
+    def force(self, stream):
+        return stream.vel
+
+
 @jax.custom_jvp
 def _held(speed):
     return speed
@@ -136,13 +156,15 @@ class Misled(Square):
     [
         (
             Shapeless(),
-            r"Shapeless.force returns the shape \(\) for velocities of shape \(3, 4, 7\)",
+            r"Shapeless.force returns the shape \(\) for velocities of shape \(3, 4, 2\)",
         ),
         (Pushing(), "Pushing.force drives a link .* and would make energy"),
-        (Rough(), "Rough.force has a derivative that is not finite at rest: use safe_norm"),
-        (Infinite(), "Infinite.force is not finite at 0.001 m/s"),
-        (Misled(), "Misled.force has a derivative at 10 m/s that is not that of its differences"),
-        (Square(points=-1), "Square.points is -1: give 0, or as many points"),
+        (Rough(), "Rough.force has a slope that is not finite at rest: correct it .safe_norm"),
+        (Infinite(), "Infinite.force has a value that is not finite at 0.001 m/s"),
+        (Misled(), "Misled.force has a derivative at 1 m/s that is not that of its differences"),
+        (Counted(), "Counted.points is a field: make it a constant of the class"),
+        (Backwards(), "Backwards.points is -1: give 0, or as many points"),
+        (Broken(), r"Broken.force fails \(AttributeError: .*no attribute 'vel'"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, AbstractDragLaw) else "",
 )
@@ -151,13 +173,47 @@ def test_a_wrong_law_is_refused_before_anything_is_fitted(law, said):
         chain(2, drag=law)
 
 
-@giajax.register
-class Unfinished(AbstractDragLaw):
-    """It has no force."""
-
-    points: int = 0
-
-
 def test_a_law_without_its_method_is_refused_by_its_name():
-    with pytest.raises(InputError, match=r"law of drag Unfinished is not made .*force"):
-        chain(2, drag="Unfinished")
+    with pytest.raises(InputError, match="Unfinished has no force: write it"):
+
+        @giajax.register
+        class Unfinished(AbstractDragLaw):
+            points = 0
+
+
+class Lifting(Square):
+    """Drag, and a lift across it, which takes and gives no power."""
+
+    def force(self, stream):
+        lift = jnp.stack([0 * stream.across[0], -stream.across[2], stream.across[1]])
+        return super().force(stream) + lift
+
+
+class Linear(Square):
+    """One number for each link, as creeping flow has it."""
+
+    size: jax.Array = parameter(0.1, unit="N s/m^2", lower=0, each=True, per="link", doc="size")
+
+    def force(self, stream):
+        return -scaled(jnp.broadcast_to(self.size, stream.along.shape), stream.across)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [Lifting(), Linear(size=jnp.asarray([1.0, 2.0, 3.0])), Choosing()],
+    ids=["lift", "linear", ""],
+)
+def test_right_laws_are_taken_and_are_part_of_programs(law):
+    arm = chain(3, drag=law)
+    rates = jnp.asarray([0.1, 0.2, 0.3])
+    plain = drag_force(arm, rates, rates)
+    assert_allclose(jax.jit(lambda arm: drag_force(arm, rates, rates))(arm), plain, atol=1e-15)
+    assert np.all(np.isfinite(jax.jit(lambda: drag_force(chain(3, drag=law), rates, rates))()))
+
+
+def test_what_has_no_part_in_a_law_is_refused():
+    for name in ("air.drag_coefficient", "air.axial_coefficient"):
+        with pytest.raises(InputError, match="have no part in a law of drag of one's own"):
+            chain(2, drag="Square", parameters={name: 1.0})
+    with pytest.raises(InputError, match="are of no law but giajax's: remove them"):
+        chain(2, drag="Square", drag_curve="cylinder")

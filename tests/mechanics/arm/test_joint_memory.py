@@ -196,3 +196,12 @@ def test_without_velocity_products_added_mass_is_in_the_mass_matrix_alone():
         ahead = moved(other, angles, rates + off, angles)
         behind = moved(other, angles, rates - off, angles)
         assert_allclose(slope[:, joint], (ahead - behind) / (2 * step), rtol=1e-5, atol=1e-5)
+
+
+def test_yield_angles_without_strengths_are_no_stops():
+    """They wait for a fit that switches the strengths on."""
+    arm = chain(2, parameters={"joints.stops.yield_angle": [0.1, 0.2]})
+    hysteresis, still = arm.joints.hysteresis, jnp.zeros(2)
+    assert hysteresis.rows == 0
+    assert float(jnp.sum(hysteresis.stiffness)) == 0
+    assert_allclose(hysteresis.torque(still + 0.3, hysteresis.unstrained(still)), 0)

@@ -189,13 +189,8 @@ def added_mass_load(
     With the impulse P = m (w - (e.w) e) of the fluid at the link's centre, which moves with w
     through it, and the impulse couple L = J (omega - (e.omega) e), the force is -dP/dt and the
     couple about the centre -(w x P + dL/dt). A wind that changes in time also carries a pressure
-    gradient, which pushes the displaced volume: rho V du/dt.
-
-    Arguments:
-        relative: velocity of the links' centres relative to the air.
-        turning: rate of change of the links' directions.
-        omega, alpha: angular velocity and acceleration of the links.
-        acceleration: of the links' centres.
+    gradient, which pushes the displaced volume: rho V du/dt. The centres move with a velocity
+    relative to the air, and an acceleration; the links' directions turn.
     """
     e = here.direction
     through = acceleration - wind.rate

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...runtime.arrays import Array, Float, Scalar
-from ...runtime.plugins import registered
 from ...runtime.text import InputError
 from ...schema import AIR, BASE, BUOYANCY, LINKS, POINT_MASSES
 from ...schema.parameters import (
@@ -23,8 +22,8 @@ from ...schema.parameters import (
     switched_on,
 )
 from ..joint import JointPair
-from ._drag import AbstractDragLaw, check_drag_law
-from ._parts import DRAGS, Air, Buoyancy, Contact, Joints, Links, PointMasses, named_axes
+from ._drag import AbstractDragLaw, check_drag_law, law_named
+from ._parts import Air, Buoyancy, Contact, Joints, Links, PointMasses, named_axes
 from ._pneumatics import Pneumatics, muscles_in, without_idle_springs
 
 # Frame: x along the straight arm away from the base, z up, y to the left; the origin is joint 1.
@@ -347,21 +346,12 @@ def chain(
     axial = mass * (diameter / 2) ** 2
     air: dict[str, Any] = {"strip_points": strip_points, "drag_curve": drag_curve}
     air |= {"drag": drag, "added_mass": added_mass}
-    own = None
-    if isinstance(drag, str) and drag not in DRAGS:
-        own = registered(AbstractDragLaw.registered_as, drag)
-    if own is not None:
-        try:
-            drag = own()
-        except TypeError as error:
-            raise InputError(
-                f"the law of drag {drag} is not made from its defaults ({error}): give it all of "
-                "its methods, and each field a default"
-            ) from None
-    if isinstance(drag, AbstractDragLaw):
-        check_drag_law(drag)
+    law = drag if isinstance(drag, AbstractDragLaw) else law_named(drag)
+    if law is not None:
+        if (strip_points, drag_curve) != (3, "constant"):
+            raise InputError("strip_points and drag_curve are of no law but giajax's: remove them")
         # The coefficient of eq. (1) is at its bound, so that no fit frees it.
-        air |= {"drag": "centre", "law": drag, "drag_coefficient": 0.0}
+        air |= {"drag": "centre", "law": law, "drag_coefficient": 0.0}
     air |= {} if air_density is None else {"density": air_density}
     joints = Joints(axes=named_axes(joint_axes, links))
     pneumatics = None if muscles is None else muscles_in(muscles, pair, joints)
@@ -392,6 +382,13 @@ def chain(
             "trim computes buoyancy.trim_mass, which is among the parameters, too: leave one out"
         )
     arm = _with_parameters(arm, values)
+    if law is not None:
+        if arm.air.axial_coefficient is not None or values.get("air.drag_coefficient", 0.0):
+            raise InputError(
+                "coefficients of air have no part in a law of drag of one's own: remove "
+                "air.drag_coefficient and air.axial_coefficient"
+            )
+        check_drag_law(arm.air.drag_law, links)
     if pneumatics is not None:
         arm = dataclasses.replace(arm, joints=without_idle_springs(arm.joints, pneumatics))
     return trimmed(arm, level="buoyancy.trim_position" not in values) if trim else arm

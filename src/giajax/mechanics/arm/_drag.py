@@ -1,6 +1,8 @@
 """Laws of drag: the force of the air for each metre of a link. A law of one's own is one more."""
 
 import abc
+import operator
+from dataclasses import fields
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
@@ -9,7 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...runtime.arrays import Array, Float, Scalar, safe_norm, scaled
+from ...runtime.plugins import registered
 from ...runtime.text import InputError
+from ...schema.parameters import is_concrete
 
 # log10 C_D is a line in log10 Re and three smooth steps: the end of creeping flow, the growth of
 # the wake, and the drag crisis. The coefficients are a least-squares fit to 247 digitised points
@@ -88,11 +92,12 @@ class AbstractDragLaw(eqx.Module):
     """
 
     registered_as: ClassVar[str] = "drag"
+    names_of_giajax: ClassVar[tuple[str, ...]] = ("centre", "strip")
 
     @property
     @abc.abstractmethod
     def points(self) -> int:
-        """Gauss points along a link: a constant. 0: at its centre alone, without a couple."""
+        """Gauss points along a link, a constant. 0: at its centre alone, without a couple."""
 
     @abc.abstractmethod
     def force(self, stream: Stream) -> Float[Array, "3 *place link"]:
@@ -151,72 +156,101 @@ class StripDrag(AbstractDragLaw):
         return force - scaled(skin, stream.axis)
 
 
+def law_named(name: object) -> AbstractDragLaw | None:
+    """The registered law of a name, as it is by default; None where there is none."""
+    found = registered("drag", name) if isinstance(name, str) else None
+    if found is None:
+        return None
+    try:
+        law: AbstractDragLaw = found()
+    except Exception as error:
+        raise InputError(
+            f"the law of drag {name} is not made from its defaults ({error}): give each field one"
+        ) from None
+    return law
+
+
 _SPEEDS = (1e-3, 0.1, 1.0, 10.0)  # at which a law is tried, m/s; the last one has derivatives
 
 
-def check_drag_law(law: AbstractDragLaw) -> None:
-    """Try a law of drag on links that move in several ways, and at rest.
+def check_drag_law(law: AbstractDragLaw, links: int = 7) -> None:
+    """Try a law of drag on so many links that move in several ways, and at rest.
+
+    While a program is traced nothing is checked.
 
     Raises:
-        InputError: naming the method and what is wrong: a shape, a value or a derivative that is
-            not finite, a derivative that is not that of the differences, or a force that drives a
-            link instead of resisting it.
+        InputError: naming the method and what is wrong: an exception, a shape, a value or a
+            derivative that is not finite, a derivative that is not that of the differences, or a
+            force that drives a link instead of resisting it.
     """
+    if is_concrete(law):
+        try:
+            with jax.ensure_compile_time_eval():
+                _try(law, links)
+        except InputError:
+            raise
+        except Exception as error:
+            raise InputError(
+                f"{type(law).__name__}.force fails ({type(error).__name__}: "
+                f"{str(error).splitlines()[0]}): correct it"
+            ) from error
+
+
+def _try(law: AbstractDragLaw, links: int) -> None:
     name, points = type(law).__name__, law.points
     what = f"{name}.force"
-    if not isinstance(points, int) or points < 0:
+    if any(each.name == "points" and not each.metadata.get("static") for each in fields(law)):
+        raise InputError(f"{name}.points is a field: make it a constant of the class, or static")
+    if operator.index(points) < 0:
         raise InputError(f"{name}.points is {points!r}: give 0, or as many points")
-    unit = np.random.default_rng(0).normal(size=(3, 7))
-    ways = jnp.asarray(unit / np.linalg.norm(unit, axis=0), float)
-    axis = jnp.zeros_like(ways).at[0].set(1.0)
+    rounding = 1e-6 if jnp.zeros(()).dtype == jnp.float64 else 1e-3
 
     def stream(velocity: Array, places: int) -> Stream:
         along, one = velocity[0], jnp.ones_like(velocity[0])
+        axis = jnp.zeros_like(velocity).at[0].set(1.0)
         about = (along, axis, 0.3 * one, 0.9 * one, 1.2 * one[0], 1.5e-5 * one[0])
         there = Stream(velocity, velocity - scaled(along, axis), *about)
-        return there.at_places(jnp.zeros((3, places, 7), one.dtype)) if places else there
-
-    for places in (law.points, 2) if law.points else (0,):
-        shape = stream(ways, places).velocity.shape
-        found = getattr(law.force(stream(ways, places)), "shape", None)
-        if found != shape:
-            raise InputError(
-                f"{what} returns the shape {found} for velocities of shape {shape}: return a "
-                "force for each of them"
-            )
+        return there.at_places(jnp.zeros((3, places, links), one.dtype)) if places else there
 
     def force(velocity: Array) -> Array:
-        return law.force(stream(velocity, law.points))
+        return law.force(stream(velocity, points))
 
-    for speed in _SPEEDS:
-        acting = force(speed * ways)
-        moving = stream(speed * ways, law.points).velocity
-        if not bool(jnp.all(jnp.isfinite(acting))):
-            raise InputError(f"{what} is not finite at {speed:g} m/s: correct it")
-        if bool(jnp.any(jnp.sum(acting * moving, axis=0) > 0)):
-            raise InputError(
-                f"{what} drives a link that moves through the air with {speed:g} m/s, and would "
-                "make energy: let it act against the velocity"
-            )
-    directions = jnp.ones_like(ways)
     parameters, rest = eqx.partition(law, eqx.is_inexact_array)
-    for name, velocity in (("at rest", jnp.zeros_like(ways)), (f"at {speed:g} m/s", speed * ways)):
-        slope = jax.jvp(force, (velocity,), (directions,))[1]
-        ones = jax.tree.map(jnp.ones_like, parameters)
-        here = stream(velocity, law.points)
-        of_parameters = jax.jvp(
+    ones = jax.tree.map(jnp.ones_like, parameters)
+    for seed, speed in enumerate((*_SPEEDS, 0.0)):
+        unit = np.random.default_rng(seed).normal(size=(3, links))
+        velocity = speed * jnp.asarray(unit / np.linalg.norm(unit, axis=0), float)
+        here = stream(velocity, points)
+        acting, moving = law.force(here), here.velocity
+        if getattr(acting, "shape", None) != moving.shape:
+            raise InputError(
+                f"{what} returns the shape {getattr(acting, 'shape', None)} for velocities of "
+                f"shape {moving.shape}: return a force for each of them"
+            )
+        at = f"at {speed:g} m/s" if speed else "at rest"
+        power = jnp.sum(acting * moving, axis=0)
+        if bool(jnp.any(power > rounding * safe_norm(acting) * safe_norm(moving))):
+            raise InputError(
+                f"{what} drives a link that moves through the air {at}, and would make energy: let "
+                "it act against the velocity"
+            )
+        turned = jnp.roll(velocity, 1, axis=0) if speed else jnp.ones_like(velocity)
+        slope = jax.jvp(force, (velocity,), (turned,))[1]
+        by_parameters = jax.jvp(
             lambda values, at=here: eqx.combine(values, rest).force(at), (parameters,), (ones,)
         )[1]
-        if not bool(jnp.all(jnp.isfinite(slope)) & jnp.all(jnp.isfinite(of_parameters))):
+        known = {"value": acting, "slope": slope, "derivative by parameters": by_parameters}
+        for each, values in known.items():
+            if not bool(jnp.all(jnp.isfinite(values))):
+                raise InputError(
+                    f"{what} has a {each} that is not finite {at}: correct it (safe_norm of "
+                    "giajax.runtime.arrays is a root with derivatives at rest)"
+                )
+        step = rounding
+        found = (force(velocity + step * turned) - force(velocity - step * turned)) / (2 * step)
+        size = jnp.max(jnp.abs(slope)) + jnp.max(jnp.abs(acting))
+        if speed >= 1 and float(jnp.max(jnp.abs(found - slope))) > 1e-2 * float(size):
             raise InputError(
-                f"{what} has a derivative that is not finite {name}: use safe_norm of "
-                "giajax.runtime.arrays in place of a root"
+                f"{what} has a derivative {at} that is not that of its differences: correct its "
+                "custom rule, or remove it"
             )
-    step = 1e-3 if ways.dtype == jnp.float32 else 1e-6
-    difference = (force(velocity + step * directions) - force(velocity - step * directions)) / 2
-    size = float(jnp.max(jnp.abs(slope))) + float(jnp.max(jnp.abs(acting)))
-    if float(jnp.max(jnp.abs(difference / step - slope))) > 1e-2 * size:
-        raise InputError(
-            f"{what} has a derivative {name} that is not that of its differences: correct its "
-            "custom rule, or remove it"
-        )

@@ -99,7 +99,8 @@ class Stops(eqx.Module):
 
     @property
     def _yield_angles(self) -> Float[Array, "row 1"]:
-        return jnp.broadcast_to(self.yield_angle, (self.rows,))[:, None]
+        width = jnp.ones(()) if self.strength is None else self.yield_angle
+        return jnp.broadcast_to(width, (self.rows,))[:, None]
 
 
 Each = Float[Array, ""] | PerJoint

@@ -110,7 +110,7 @@ class Air(eqx.Module):
                 raise InputError(f"{name} is {value!r}: use one of {', '.join(known)}")
         if self.strip_points < 1:
             raise InputError(f"strip_points is {self.strip_points}: give at least 1")
-        if self.axial_coefficient is not None and self.drag == "centre":
+        if self.axial_coefficient is not None and self.drag == "centre" and self.law is None:
             raise InputError(
                 "drag = 'centre' has the full velocity already and no axial coefficient: "
                 "use drag = 'strip', or leave air.axial_coefficient out"

@@ -239,7 +239,7 @@ class Stop(AbstractPlays):
         self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
     ) -> Array:
         """What the plays leave."""
-        return inputs[..., None] - plays
+        return jnp.asarray(inputs)[..., None] - plays
 
 
 def check_thresholds(thresholds: Array, weights: Array | None = None) -> None:
