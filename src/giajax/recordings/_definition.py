@@ -457,7 +457,7 @@ def _line(section: type[BaseModel], name: str, value: Any = None) -> str:
     field = section.model_fields[name]
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
     # The values of a key that is one of a few, as its declaration says them.
-    choices = f": {extra['must']}" if "Literal[" in str(field.annotation) or name == "drag" else ""
+    choices = f": {extra['must']}" if "Literal[" in str(field.annotation) else ""
     shown = _value(extra["example"] if value is None else value, ())
     text = f"{key_path((name,))} = {shown}  # {field.description}{choices}"
     return text if value is not None else f"# {text}"

@@ -340,7 +340,7 @@ def _known_drag(word: str) -> str:
 class ArmSection(_Surroundings):
     """`[arm]`: the known constants of the arm. A number holds for all links."""
 
-    drag: Annotated[str, AfterValidator(_known_drag)] | None = key(
+    drag: Annotated[Literal["centre", "strip"] | str, AfterValidator(_known_drag)] | None = key(
         '"centre" or "strip"',
         "drag at each link's centre (eq. 1), or across the flow along the link",
         preset="centre",

@@ -158,8 +158,10 @@ class StripDrag(AbstractDragLaw):
 
 def law_named(name: object) -> AbstractDragLaw | None:
     """The registered law of a name, as it is by default; None where there is none."""
-    found = registered("drag", name) if isinstance(name, str) else None
-    if found is None:
+    # Entry points are looked up in the metadata of all packages: not for each arm that is built.
+    if not isinstance(name, str) or name in AbstractDragLaw.names_of_giajax:
+        return None
+    if (found := registered(AbstractDragLaw.registered_as, name)) is None:
         return None
     try:
         law: AbstractDragLaw = found()

@@ -64,7 +64,7 @@ def _unit_axis(axis: str | Sequence[float]) -> Axis:
     return x, y, z
 
 
-DRAGS = ("centre", "strip")
+DRAGS = AbstractDragLaw.names_of_giajax
 """Where drag acts: at each link's centre (eq. 1), or along the link."""
 
 DRAG_CURVES = ("constant", "cylinder")
