@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import giajax
 from giajax import FitTask, InputError, Run, fit, read_run, read_runs, write_result
 from giajax.fitting import WarmStart, load_result, set_up, solve
 from giajax.tasks import JOURNAL, compared, read_journal, stored_result, version_note
@@ -119,6 +120,31 @@ def test_a_file_that_has_changed_is_named(unfinished, tmp_path, monkeypatch, cha
     for door in (FitTask.again, FitTask.resumed):
         with pytest.raises(InputError, match=sentence):
             door("out")
+
+
+def test_another_file_of_a_registered_class_is_refused(unfinished, tmp_path, monkeypatch):
+    """Where a fit is made again, and where one goes on from Python, too."""
+
+    @giajax.register
+    class Sliding(giajax.mechanics.arm.AbstractDragLaw):
+        points = 0
+
+        def force(self, stream):
+            return -stream.velocity
+
+    monkeypatch.chdir(shutil.copytree(unfinished, tmp_path / "here"))
+    # The first line of a journal, and the only text of a result, say what they were made with.
+    for name, parts in (("result.json", 0), ("journal.jsonl", 1)):
+        path = Path("out", name)
+        text, *lines = path.read_text().split("\n", 1) if parts else [path.read_text()]
+        record = json.loads(text)
+        record["versions"][Path(__file__).name] = "sha256 of another one"
+        path.write_text("\n".join([json.dumps(record), *lines]))
+    sentence = "test_again.py has changed since: give the one of then, or fit anew"
+    with pytest.raises(InputError, match=sentence):
+        FitTask.again("out")
+    with pytest.raises(InputError, match=sentence):
+        FitTask.resumed("out").run(journal="out")
 
 
 def append(name, text):

@@ -24,7 +24,9 @@ Registered = TypeVar("Registered", bound=type)
 
 _CLASSES: dict[str, dict[str, Any]] = {}
 _PLUGINS: dict[Path, str] = {}  # with the SHA-256 of what was run
-_SUM = "sha256 "
+
+SUM = "sha256 "
+"""What the sum of a file begins with, where others have a version."""
 
 
 def register(cls: Registered) -> Registered:
@@ -128,7 +130,7 @@ def source(module: str) -> tuple[str, str] | None:
         names = metadata.packages_distributions().get(package, ())
         return (names[0], version(names[0])) if names else None
     digest = _PLUGINS.get(path) or hashlib.sha256(path.read_bytes()).hexdigest()
-    return path.name, _SUM + digest
+    return path.name, SUM + digest
 
 
 # Their versions are in every key, and in every result.
@@ -166,7 +168,7 @@ def check_sources(versions: Mapping[str, str]) -> None:
     classes = [cls for known in _CLASSES.values() for cls in known.values()]
     now = dict(filter(None, (source(cls.__module__) for cls in classes)))
     for name, text in versions.items():
-        if text.startswith(_SUM) and now.get(name, text) != text:
+        if text.startswith(SUM) and now.get(name, text) != text:
             raise InputError(f"{name} has changed since: give the one of then, or fit anew")
 
 
@@ -174,9 +176,9 @@ def hint(versions: Mapping[str, str]) -> str:
     """What to give or install where these are of a result that cannot be loaded; may be empty."""
     loaded = {Path(str(getattr(each, "__file__", ""))).name for each in sys.modules.values()}
     for name, text in versions.items():
-        if text.startswith(_SUM) and name not in loaded:
+        if text.startswith(SUM) and name not in loaded:
             return f" (it was made with {name}: give --plugin {name})"
-        if not text.startswith(_SUM) and name != "python":
+        if not text.startswith(SUM) and name != "python":
             try:
                 version(name)
             except metadata.PackageNotFoundError:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from ..recordings import Definition, FitSettings, TaskKeywords, fit_settings, read_runs
+from ..runtime.plugins import check_sources
 from ..runtime.records import plain_data
 from ..runtime.text import InputError
 from ._journal import checksums_of, differences, read_journal, unchanged
@@ -198,6 +199,7 @@ class FitTask:
                 it was fitted to has changed.
         """
         folder, stored = repeatable(path)
+        check_sources(stored["versions"])
         config, fields = stored["config"], unchanged(stored["task"], folder)
         out = folder.with_name(f"{folder.resolve().name}-again")
         return cls(**fields, resolved=config, earlier=folder).on_top(

@@ -28,7 +28,7 @@ from ..recordings import (
 )
 from ..runtime.files import read_bytes
 from ..runtime.limits import JOURNAL_BYTES, RUN_BYTES
-from ..runtime.plugins import check_sources
+from ..runtime.plugins import SUM
 from ..runtime.records import from_plain
 from ..runtime.text import InputError
 
@@ -139,13 +139,11 @@ def check_again(now: Mapping[str, Any], before: Mapping[str, Any], folder: Path)
 def version_note(versions: Mapping[str, str]) -> str:
     """A sentence where another Python or library computes here than before; else empty."""
     import platform
-
-    check_sources(versions)
     from importlib.metadata import PackageNotFoundError, version
 
     changed = []
     for name, before in versions.items():
-        if before.startswith("sha256 "):
+        if before.startswith(SUM):
             continue
         try:
             now = platform.python_version() if name == "python" else version(name)

@@ -23,7 +23,7 @@ from ..fitting import (
     versions,
 )
 from ..recordings import Definition, Run
-from ..runtime.plugins import sources_of
+from ..runtime.plugins import check_sources, sources_of
 from ..runtime.text import InputError
 from ..studies import (
     check_uncertainty,
@@ -97,6 +97,7 @@ class Preparation:
                     raise InputError(
                         f"{folder} has no journal of a fit: fit without resuming to begin one"
                     )
+                check_sources(journal.head["versions"])
                 check_again(self.record, journal.head["task"], folder)
                 check_config(journal.head["config"], self.setup.config, journal.path)
             else:
