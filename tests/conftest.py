@@ -80,6 +80,13 @@ def pytest_runtest_call(item):
     return outcome
 
 
+def pytest_collection_finish():
+    """What is imported stays: the collector does not look through it again at each pass."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+
+
 LEFT_OUT = pytest.StashKey[dict[str, int]]()
 # Of each mark, what runs its tests.
 RUN_BY = {"slow": "make test-all", "long": "make test-long"}
