@@ -9,7 +9,7 @@ import pytest
 import giajax
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "extending"
-RESULTS = {"coffee_filter": "filter", "fullness_drag": "fullness"}
+RESULTS = {"cauchy_loss": "robust", "coffee_filter": "filter", "fullness_drag": "fullness"}
 
 
 @pytest.mark.quick
@@ -39,6 +39,10 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(name,
     assert f"it was made with {name}.py: give --plugin {name}.py" in missing.stderr
     # The script has asked for the suspects of the law; workers import a plug-in, too.
     commands = {
+        "cauchy_loss": [
+            ("report", folder),
+            ("fit", "--data", f"{folder}/prediction.csv", "--loss", "CauchyLoss"),
+        ],
         "coffee_filter": [
             ("report", folder),
             ("suspects", folder),

@@ -20,8 +20,8 @@ from giajax.fitting import (
     Noise,
     Problem,
     build_batches,
-    curvature_ratio,
     linearise,
+    loss_of,
     own_start,
     residual,
 )
@@ -85,7 +85,7 @@ def problem_of(runs, loss="linear"):
     bijector = Bijector.of(
         (0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)), (1.5, *own)
     )
-    problem = Problem(model, batches, bijector, ("decay",), loss)
+    problem = Problem(model, batches, bijector, ("decay",), loss_of(loss))
     coordinate = jnp.asarray(bijector.inverse(np.array([1.5, *own])))
     return problem, coordinate
 
@@ -93,14 +93,16 @@ def problem_of(runs, loss="linear"):
 def bends(problem, row):
     """The ratio of curvatures of each row; how far a model is off is told in each run."""
     priors = np.ones(len(problem.priors.columns))
-    if problem.loss == "linear":
+    if problem.loss.is_linear:
         return np.ones(len(row))
     ratios, first = [], 0
     for batch in problem.batches:
         for weight in np.asarray(batch.weight):
             part = row[first : first + weight.size]
             measured = (weight.ravel() > 0).astype(float)
-            ratios.append(np.asarray(curvature_ratio(problem.loss, part, measured)))
+            # t^2 of huber is 2 |r| - 1 beyond 1.
+            r = jnp.where(part**2 > 1, jnp.sign(part) * (part**2 + 1) / 2, part)
+            ratios.append(np.asarray(problem.loss.curvature_ratio(r, measured)))
             first += weight.size
     assert np.ptp(np.concatenate(ratios)) > 0.1
     return np.concatenate([*ratios, priors])

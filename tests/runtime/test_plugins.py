@@ -34,6 +34,12 @@ class {name}(AbstractDragLaw):
 """
 
 
+@pytest.fixture(autouse=True)
+def no_plugins(monkeypatch):
+    """Keys of other tests do not have the plug-ins of these in them."""
+    monkeypatch.setattr(_plugins, "_PLUGINS", {})
+
+
 def loaded_anew(path):
     """As a new process would."""
     sys.modules.pop(path.stem, None)
@@ -139,5 +145,6 @@ def test_a_package_is_found_by_its_entry_point(monkeypatch):
         return [Entry()] if (group, name) == ("giajax.drags", "Packaged") else []
 
     monkeypatch.setattr("giajax.runtime.plugins.metadata.entry_points", entries)
+    assert registered("loss", "Packaged") is None
     assert registered("drag", "Packaged").__module__ == "law_package"
     assert registered("drag", "Other") is None

@@ -169,6 +169,15 @@ def test_what_a_plan_may_not_say(folder, text, words):
     assert "plan.toml" in str(caught.value)
 
 
+def test_fits_by_an_edited_plug_in_are_others(folder, monkeypatch):
+    keys = set()
+    for digest in ("one", "one", "two", None):
+        added = {} if digest is None else {folder / "laws.py": digest}
+        monkeypatch.setattr("giajax.runtime.plugins._PLUGINS", added)
+        keys.add(tuple(task.key for task in plan(folder, '[grid]\nloss = ["huber"]').tasks()))
+    assert len(keys) == 3
+
+
 def test_fits_are_known_by_their_content(folder):
     """By what the files hold, not by where they lie; by sidecars, settings and samples too."""
     text = '[grid]\nloss = ["linear", "huber"]'

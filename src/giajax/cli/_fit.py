@@ -57,7 +57,7 @@ class _Settings(TypedDict):
     spread: Annotated[float | None, "X", "How far the other starts are away, as a share (0.3)."]
     seed: Annotated[int | None, "N", "Of the other starts (0).", 0]
     loss: Annotated[
-        str | None, "NAME", "How residuals count; for outliers huber or soft_l1 (linear)."
+        str | None, "NAME", "How residuals count; for outliers huber, soft_l1, student_t (linear)."
     ]
     noise_model: Annotated[str | None, "NAME", "correlated where it is, or white (correlated)."]
     noise_per_run: Annotated[

@@ -55,6 +55,16 @@ from ._linearise import (
     residuals as residuals,
 )
 from ._loop import Budget as Budget, descend as descend, stopped_by as stopped_by
+from ._losses import (
+    AbstractLoss as AbstractLoss,
+    Huber as Huber,
+    Linear as Linear,
+    Scores as Scores,
+    SoftL1 as SoftL1,
+    StudentT as StudentT,
+    check_loss as check_loss,
+    loss_of as loss_of,
+)
 from ._optimum import (
     CellEquations as CellEquations,
     Equations as Equations,
@@ -121,16 +131,11 @@ from ._uncertainty import (
     undetermined_groups as undetermined_groups,
 )
 from ._weights import (
-    LOSSES as LOSSES,
     Noise as Noise,
     Whitening as Whitening,
     checked_priors as checked_priors,
-    curvature_ratio as curvature_ratio,
     prior_of as prior_of,
     prior_row as prior_row,
-    rho as rho,
-    scores as scores,
-    transform as transform,
 )
 
 # Type checkers are to complain of what is not there.

@@ -28,6 +28,7 @@ from ..schema.parameters import (
     switched_on,
 )
 from ._coordinates import Layout, members, sharing
+from ._losses import AbstractLoss, check_loss, loss_of
 from ._weights import prior_of
 
 Module = TypeVar("Module", bound=eqx.Module)
@@ -256,6 +257,11 @@ class Setup:
         return starts
 
     @functools.cached_property
+    def loss(self) -> AbstractLoss:
+        """How a large residual counts."""
+        return loss_of(self.settings.loss)
+
+    @functools.cached_property
     def chooses_tolerance(self) -> bool:
         """Whether the fit chooses the tolerance of an integrator, where nobody states it."""
         integration = capabilities.integration(self.model)
@@ -461,6 +467,7 @@ def set_up(
     groups = sharing(runs, settings.per_run, settings.groups)
     reached = {} if begin is None else begin.values_for(model)
     setup = _resolved(model, runs, settings, groups, reached)
+    check_loss(setup.loss)
     _check_determined(setup)
     _check_together(setup)
     own = {} if begin is None else begin.own
@@ -485,7 +492,7 @@ def _config(
         "free": [parameter.path for parameter in setup.parameters],
         "start": _plain(settings.start),
         "fix": _plain(settings.fix),
-        "loss": settings.loss,
+        "loss": setup.loss.contents(),
         "noise_model": settings.noise_model,
         "noise_per_run": settings.noise_per_run,
         # None for a model without an integrator.

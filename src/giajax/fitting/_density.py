@@ -20,7 +20,6 @@ from ._optimum import Optimum
 from ._problem import Problem
 from ._statistics import Statistics, weighted_residuals
 from ._uncertainty import inverse_gram
-from ._weights import scores
 
 _MOSTLY = 0.5  # a prior that says more than this of a parameter has set its standard error
 
@@ -54,9 +53,9 @@ def cost_scale(optimum: Optimum) -> float:
     problem, statistics = optimum.state.problem, optimum.statistics
     jacobian = optimum.state.natural_jacobian
     weights = None
-    if problem.loss != "linear":
+    if not problem.loss.is_linear:
         residuals, _ = weighted_residuals(optimum.state)
-        _, curvature, slope = scores(problem.loss, residuals)
+        _, _, curvature, slope = problem.loss.scores(residuals)
         data = np.arange(len(residuals)) < len(residuals) - len(problem.priors.columns)
         weights = np.where(data, np.sqrt(np.maximum(curvature, 0.0)) / slope, 1.0)
     alive = statistics.alive

@@ -84,7 +84,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         tolerance_effect=done.tolerance,
         conditions=tuple(capabilities.conditions(model, moved, setup.runs)),
         seconds=Seconds(compile=compiling, run=elapsed - compiling),
-        versions={**versions(), **sources_of(model)},
+        versions={**versions(), **sources_of((model, setup.loss))},
         config={**setup.config, "max_iterations": max_iterations},
         history=state.history,
         predictions=tuple(predictions),
@@ -209,7 +209,8 @@ def fit(
             default those that the model declares free.
         start: start values by path, in SI units: one, or one for each element.
         fix: values by path that are set and not fitted, as `start`.
-        loss: "linear", or "huber" or "soft_l1" where a few cells are outliers.
+        loss: "linear", or where a few cells are outliers "huber", "soft_l1", "student_t", or an
+            `AbstractLoss` such as `giajax.fitting.StudentT(degrees_of_freedom=3.0)`.
         noise_model: "correlated" finds out whether the noise of a channel is correlated (white
             noise plus an AR(1) in continuous time), and how large and long it is where the runs
             do not state it; "white" takes every cell for independent of the others.

@@ -279,7 +279,7 @@ def _judged(state: FitState, parts: Sequence[SplitRun]) -> tuple[Sizes, Reason |
             continue
         series = series_of(state, number, name, cells.residual, cells.times, lost=0.0)
         channels.append(PredictedChannel(series, cells, held_cells(parts[number], name)))
-    test = PredictionTest(channels, prior_gram(state), robust=state.setup.settings.loss != "linear")
+    test = PredictionTest(channels, prior_gram(state), robust=not state.setup.loss.is_linear)
     for each in channels:
         if np.any(each.held):
             at = each.cells.run, each.series.channel

@@ -30,7 +30,6 @@ from ._problem import (
     whitened_run,
 )
 from ._solver import Linearised, Marquardt, MarquardtState, with_jacobian
-from ._weights import curvature_ratio
 
 Row = Float[np.ndarray, " residual"]
 
@@ -127,9 +126,11 @@ def linearise_run(
     # Linear, so it comes after the derivatives, and costs one pass over all columns.
     whole = whitened(jnp.concatenate([block, row[:, None]], axis=1), run[-1])
     block, row = whole[:, :-1], whole[:, -1]
-    if problem.loss != "linear":
-        measured = (run[2] > 0).ravel().astype(row.dtype)
-        ratio = curvature_ratio(problem.loss, row, measured)[:, None]
+    if not problem.loss.is_linear:
+        _, observed, weight, _ = run
+        difference = jnp.where(weight > 0, (aux[0] - observed) * weight, 0).ravel()
+        measured = (weight > 0).ravel().astype(row.dtype)
+        ratio = problem.loss.curvature_ratio(difference, measured)[:, None]
         whole = jnp.concatenate([whole[:, :-1] * ratio, whole[:, -1:] / ratio], axis=1)
     # A failed run has NaN here; its step is rejected, and nobody reads the triangle.
     triangle = jnp.linalg.qr(jnp.where(jnp.isfinite(whole), whole, 0), mode="r")

@@ -15,7 +15,6 @@ from ._noise import reestimate
 from ._records import Iteration
 from ._steps import FitState, Reason, reweight, step, trial
 from ._uncertainty import responds
-from ._weights import transform
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,7 +120,7 @@ def constant_cost(state: FitState) -> float:
         squares = weights**2
         mean = np.sum(squares * observed, axis=1) / np.maximum(np.sum(squares, axis=1), 1e-300)
         left = (observed - mean[:, None]) * weights
-        total += float(np.sum(np.asarray(transform(state.problem.loss, left)) ** 2)) / 2
+        total += float(np.sum(state.problem.loss.scores(left).rho)) / 2
     return total
 
 

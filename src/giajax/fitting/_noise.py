@@ -21,7 +21,7 @@ from ..recordings import Run
 from ._problem import predictions_by_run
 from ._records import Status
 from ._steps import FitState
-from ._weights import Noise, scores
+from ._weights import Noise
 
 
 def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int, str], Cells]:
@@ -45,7 +45,7 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
             difference = predicted - np.asarray(batch.observed)[row]
             if batch.whitening is not None:
                 block = batch.whitening.of_run(row).undone(block)
-            slope = scores(state.problem.loss, (difference * weight).ravel())[2]
+            slope = state.problem.loss.scores((difference * weight).ravel()).slope
             with np.errstate(divide="ignore", invalid="ignore"):
                 block = (block / (slope * weight.ravel())[:, None]).reshape(*weight.shape, -1)
             where = {int(column): position for position, column in enumerate(columns)}
@@ -111,14 +111,14 @@ def reestimate(state: FitState) -> Noise:
     if noise.complete and not noise.correlated:
         return noise
     cells = residual_cells(state)
-    if state.setup.settings.loss != "linear":
+    perfect, robust = _perfect(cells, state.setup.runs), not state.setup.loss.is_linear
+    if perfect and (noise.estimated or robust):
+        # What rounding leaves has no size to be estimated again.
+        return dataclasses.replace(noise, estimated=not noise.complete)
+    if robust:
         return _among_outliers(noise, cells, state.setup.runs)
     # Without the priors: one that is wrong would pass for noise that is correlated for long.
     before = Restricted.of(list(cells.values()), noise.by_key())
-    perfect = _perfect(cells, state.setup.runs)
-    if perfect and noise.estimated:
-        # What rounding leaves has no size to be estimated again.
-        return noise
     after = estimate(before, noise.stated_by_key(), correlated=noise.correlated and not perfect)
     if _gain(before, after) < _SETTLED:
         return dataclasses.replace(noise, estimated=not noise.complete)
@@ -197,7 +197,7 @@ def verdict(state: FitState, status: Status, prior_degrees_of_freedom: float) ->
     series = residual_series(state, prior_degrees_of_freedom)
     if not series:
         return Verdict("adequate")
-    found = judge(series, robust=state.setup.settings.loss != "linear")
+    found = judge(series, robust=not state.setup.loss.is_linear)
     return early if ended and found.status != "inadequate" else found
 
 

@@ -20,13 +20,14 @@ from ._derived import derived_quantity
 from ._fit import Refit, refitted
 from ._linearise import BlockJacobian
 from ._loop import with_active
+from ._losses import AbstractLoss
 from ._noise import reestimate, residual_cells
 from ._problem import Recorded, predictions_by_run, with_recorded
 from ._records import RunFit, recorded_noise
 from ._statistics import Statistics, statistics
 from ._steps import FitState, begin, evaluate, labels, move, reweight, step
 from ._uncertainty import dense_cells, prior_rows, responds, weighted_cells
-from ._weights import Noise, scores
+from ._weights import Noise
 
 MOST_STEPS = 50
 
@@ -203,7 +204,7 @@ def optimum(setup: Setup, records: Sequence[RunFit]) -> Optimum:
     })  # fmt: skip
     noise = dataclasses.replace(noise, estimated=not noise.complete)
     state = _evaluated(begun, noise)
-    if setup.settings.loss != "linear" and noise.correlated:
+    if not setup.loss.is_linear and noise.correlated:
         # The weights of cells are not kept: they follow from the residuals.
         weights = reestimate(state).weights
         if weights is not None:
@@ -265,7 +266,7 @@ class CellEquations:
     cells: Mapping[tuple[int, str], Cells]
     rows: Mapping[tuple[int, str], Bool[np.ndarray, " sample"]]
     noise: Mapping[str, ChannelNoise]
-    loss: str
+    loss: AbstractLoss
     priors: Equations
 
     @classmethod
@@ -297,11 +298,11 @@ class CellEquations:
         if kept is not None:
             cells = cells.where(kept[self.rows[run, name]])
         noise = self.noise[cells.key]
-        if self.loss == "linear":
+        if self.loss.is_linear:
             width = cells.own.shape[1]
             gram = cells.gram(noise)[0][width:, width:]
             return Equations(gram[:-1, :-1], gram[:-1, -1])
-        psi, curvature, _ = scores(self.loss, cells.residual / noise.deviation)
+        _, psi, curvature, _ = self.loss.scores(cells.residual / noise.deviation)
         columns = cells.shared / noise.deviation
         return Equations(columns.T @ (columns * curvature[:, None]), columns.T @ psi)
 

@@ -15,7 +15,8 @@ from ..runtime.arrays import Array, Float, on_device
 from ..schema.parameters import get, replace
 from ._configuration import Tie, element_labels, tied, within_bounds
 from ._coordinates import Bijector, Layout
-from ._weights import Noise, Priors, Whitening, transform
+from ._losses import AbstractLoss
+from ._weights import Noise, Priors, Whitening
 
 
 def stacked(trees: Sequence[Any]) -> Any:
@@ -266,7 +267,7 @@ class Problem(eqx.Module):
     batches: tuple[RunBatch, ...]
     bijector: Bijector
     paths: tuple[str, ...] = eqx.field(static=True)
-    loss: str = eqx.field(static=True)
+    loss: AbstractLoss = eqx.field(static=True)
     places: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=())
     ties: tuple[Tie, ...] = eqx.field(static=True, default=())
     priors: Priors = eqx.field(default_factory=lambda: Priors.of({}, ()))
@@ -355,7 +356,7 @@ def run_residual(
         table = jnp.where(successful, table, jnp.nan)
     # An unmeasured cell must not carry the NaN of a failed simulation times zero.
     difference = jnp.where(weight > 0, (table - observed) * weight, 0)
-    return transform(problem.loss, difference.ravel()), (table, successful)
+    return problem.loss.transform(difference.ravel()), (table, successful)
 
 
 def whitened(columns: Float[Array, "residual column"], whitening: Whitening | None) -> Array:

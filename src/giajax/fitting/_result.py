@@ -19,6 +19,7 @@ from ..runtime.records import from_plain, json_text
 from ..runtime.text import InputError
 from ._derived import in_column_units
 from ._estimates import Finding
+from ._losses import AbstractLoss, loss_of
 from ._records import (
     ChannelErrors,
     Correlation,
@@ -205,6 +206,11 @@ class FitResult:
     reason: Reason = ""
 
     @property
+    def loss(self) -> AbstractLoss:
+        """How a large residual counted."""
+        return loss_of(self.config.get("loss", "linear"))
+
+    @property
     def free(self) -> dict[str, Estimate]:
         """The parameters that the fit was allowed to move."""
         return {path: estimate for path, estimate in self.parameters.items() if estimate.free}
@@ -293,6 +299,7 @@ def load_result(path: str | Path) -> FitResult:
     values = {path: estimate.value for path, estimate in fields["parameters"].items()}
     check_sources(fields["versions"])
     try:
+        loss_of(fields["config"].get("loss", "linear"))
         return _of(fields, build_model(kind, fields["config"]["definition"], values))
     except InputError as error:
         raise InputError(f"{error}{hint(fields['versions'])}") from None

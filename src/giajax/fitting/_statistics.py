@@ -92,7 +92,7 @@ def statistics(state: FitState) -> Statistics:
     cells = len(residuals) - len(problem.priors.columns)
     shares = _prior_shares(problem.priors, jacobian, alive, root)
     known = sum(shares.values())
-    white = np.asarray(state.inner.residual) if problem.loss == "linear" else residuals
+    white = np.asarray(state.inner.residual) if problem.loss.is_linear else residuals
     spread = uncertainty(
         white,
         jacobian,
@@ -123,7 +123,7 @@ def statistics(state: FitState) -> Statistics:
         covariance=by_noise.covariance,
         reduced_chi_square=reduced_chi_square(
             (residuals * _against_stated(state))[:cells],
-            loss=state.setup.settings.loss,
+            loss=state.setup.loss,
             measured=measured[:cells],
             parameters=len(alive) - known,
         ),

@@ -21,6 +21,7 @@ from ..runtime.records import from_plain
 from ._configuration import Setup
 from ._coordinates import Bijector, names_of
 from ._linearise import BlockJacobian, blank, residuals, stepped
+from ._losses import Linear
 from ._problem import Problem, RunBatch, build_batches, own_start, with_recorded
 from ._records import Iteration, Status
 from ._solver import Marquardt, MarquardtState, residual_scale
@@ -251,7 +252,7 @@ def begin(setup: Setup) -> FitState:
         batches=batches,
         bijector=bijector,
         paths=tuple(p.path for p in parameters),
-        loss=setup.settings.loss,
+        loss=setup.loss,
         places=layout.places,
         ties=setup.ties,
     )
@@ -316,7 +317,7 @@ def reweight(state: FitState, noise: Noise) -> FitState:
     runs = state.setup.runs
     batches = with_recorded(state.problem.batches, runs, noise, [run.observations for run in runs])
     # Weights of cells take the place of a robust loss: whitened residuals are no single cells.
-    loss = state.setup.settings.loss if noise.weights is None else "linear"
+    loss = state.setup.loss if noise.weights is None else Linear()
     problem = dataclasses.replace(state.problem, batches=batches, loss=loss)
     moved = move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
     # The valley is nearly the same one: a fit that knew it keeps its long steps.

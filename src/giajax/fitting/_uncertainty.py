@@ -10,9 +10,9 @@ from ..noise import Cells, Restricted, score_covariance, small_sample
 from ..recordings import Run
 from ..runtime.arrays import Float
 from ._linearise import BlockJacobian
+from ._losses import AbstractLoss
 from ._noise import OUTLIER, residual_cells
 from ._steps import FitState
-from ._weights import mean_square_of_influence, scores
 
 # For a change of a parameter by its own size, in units of the noise: alone, the parameter would
 # have a standard error of a million times itself.
@@ -79,7 +79,7 @@ def uncertainty(
     residual: np.ndarray,
     jacobian: BlockJacobian,
     *,
-    loss: str,
+    loss: AbstractLoss,
     measured: np.ndarray,
     columns: np.ndarray,
     priors: int = 0,
@@ -97,7 +97,7 @@ def uncertainty(
     Arguments:
         residual: weighted, whitened residuals before the loss transforms them, shape (residual,).
         jacobian: derivative of the transformed residuals by the parameters.
-        loss: name of the loss.
+        loss: how large residuals count.
         measured: which residuals stand for a measured cell, shape (residual,).
         columns: the parameters that the covariance is for.
         priors: how many of the last rows are those of priors, which no loss transforms.
@@ -110,7 +110,7 @@ def uncertainty(
     # How far a prior is off says nothing of the noise.
     degrees_of_freedom = max(count - (size - known), 1)
     reduced = float(np.sum(residual[measured & data] ** 2) / degrees_of_freedom)
-    psi, curvature, slope = scores(loss, residual)
+    _, psi, curvature, slope = loss.scores(residual)
 
     def root_of_gram(weights: np.ndarray | float) -> np.ndarray:
         # Unmeasured cells have zero rows; their slope is that of a residual of zero.
@@ -118,7 +118,7 @@ def uncertainty(
 
     plain = root_of_gram(1.0)
     mean_curvature = float(np.mean(curvature[measured & data])) if count else 1.0
-    if loss == "linear" or mean_curvature < _FEW:
+    if loss.is_linear or mean_curvature < _FEW:
         # With a robust loss: almost every residual is an outlier, and the sandwich has no bread.
         scale = max(1.0, reduced) if scaled else 1.0
         bread = inverse_gram(plain)
@@ -134,7 +134,7 @@ def uncertainty(
 
 
 def reduced_chi_square(
-    residual: np.ndarray, *, loss: str, measured: np.ndarray, parameters: float
+    residual: np.ndarray, *, loss: AbstractLoss, measured: np.ndarray, parameters: float
 ) -> float:
     """Squared residuals over the noise, per degree of freedom.
 
@@ -142,9 +142,9 @@ def reduced_chi_square(
     few outliers are not taken for more noise (Huber 1981, section 7.6). `parameters` are the number
     of fitted ones, less what priors know of them.
     """
-    psi = scores(loss, residual[measured])[0]
+    psi = loss.scores(residual[measured]).psi
     degrees_of_freedom = max(int(np.sum(measured)) - parameters, 1)
-    return float(np.sum(psi**2) / degrees_of_freedom / mean_square_of_influence(loss))
+    return float(np.sum(psi**2) / degrees_of_freedom / loss.mean_square)
 
 
 def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
@@ -196,7 +196,7 @@ class NoiseStatistics(NamedTuple):
 def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) -> NoiseStatistics:
     """The statistics of a fit whose noise was estimated, or is correlated."""
     infinite = np.full(len(alive), np.inf)
-    if state.problem.loss != "linear" or not 0 < len(alive) <= _MANY:
+    if not state.problem.loss.is_linear or not 0 < len(alive) <= _MANY:
         return NoiseStatistics(spread.covariance, infinite, None, None)
     covariance = spread.as_stated
     noise = state.noise

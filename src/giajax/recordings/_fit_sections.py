@@ -1,13 +1,21 @@
 """The sections of measuring and fitting: noise, a fit, and the figures that it must reach."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Self, TypedDict
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypedDict, get_args
 
 import numpy.typing as npt
-from pydantic import ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from ..runtime.limits import STARTS
-from ..runtime.text import InputError
+from ..runtime.plugins import registered
+from ..runtime.text import InputError, shown
 from ..schema import (
     QUANTITY_OF_SUFFIX,
     Expression,
@@ -142,7 +150,31 @@ class PriorEntry(Section):
 
 
 NoiseModel = Literal["correlated", "white"]
-Loss = Literal["linear", "huber", "soft_l1"]
+Loss = Literal["linear", "huber", "soft_l1", "student_t"]
+
+_LOSS = (
+    '"linear", "huber", "soft_l1", "student_t", a registered loss, or a table such as '
+    '{ name = "student_t", degrees_of_freedom = 4 }'
+)
+
+
+class LossObject(Protocol):
+    """What settings know of a `giajax.fitting.AbstractLoss`."""
+
+    def contents(self) -> str | dict[str, Any]:
+        """As a file states it."""
+
+
+def _known_loss(said: Any) -> Any:
+    """A loss as a file states it, also of an object of Python."""
+    if not isinstance(said, str | Mapping) and hasattr(said, "contents"):
+        said = said.contents()
+    name = said.get("name") if isinstance(said, Mapping) else said
+    known = isinstance(name, str) and (name in get_args(Loss) or registered("loss", name))
+    if not known:
+        raise ValueError(f"= {shown(said)} must be {_LOSS}: correct it, or give --plugin FILE.py")
+    return said
+
 
 Values = dict[Name, Finite | list[Finite]]
 """Numbers by path, SI: one for a whole parameter, or one for each of its elements."""
@@ -228,9 +260,9 @@ class FitSettings(Section):
         "Runs that the result must predict and is not fitted to.",
         default=[],
     )
-    loss: Loss = key(
-        '"linear", "huber" or "soft_l1"',
-        "How a large residual counts: linear, or huber or soft_l1 for outliers.",
+    loss: Annotated[Loss | str | dict[str, Any], BeforeValidator(_known_loss)] = key(
+        _LOSS,
+        "How a large residual counts: linear, or huber, soft_l1 or student_t for outliers.",
         default="linear",
     )
     noise_model: NoiseModel = key(
@@ -320,7 +352,7 @@ class FitKeywords(TypedDict, total=False):
     ties: Mapping[str, str] | None
     per_run: Sequence[str] | None
     groups: Mapping[str, Sequence[Sequence[str]]] | None
-    loss: str | None
+    loss: str | Mapping[str, Any] | LossObject | None
     noise_model: str | None
     noise_per_run: bool | None
     solver: str | None

@@ -49,7 +49,7 @@ class StoredConfig:
     free: list[str]
     start: dict[str, Numbers]
     fix: dict[str, Numbers]
-    loss: str
+    loss: str | dict[str, Any]
     max_iterations: int | None = None
     noise_model: Literal["correlated", "white"] = "correlated"
     noise_per_run: bool = False

@@ -33,7 +33,7 @@ def register(cls: Registered) -> Registered:
     """Make a class of yours known by its name, to files and to the command line.
 
     A model is called as its `kind`, everything else as its class. A package may have an entry point
-    of that name instead, of the group `giajax.models` or `giajax.drags`.
+    of that name instead, of the group `giajax.models`, `giajax.drags` or `giajax.losses`.
 
     Raises:
         InputError: it is of no class that giajax knows, lacks a method, or has the name of another.
@@ -65,7 +65,9 @@ def name_of(cls: type) -> str:
 def registered(role: str, name: str) -> Any | None:
     """The class of a role and a name; None where there is none."""
     if (found := _CLASSES.get(role, {}).get(name)) is None:
-        for entry in metadata.entry_points(group=f"giajax.{role}s", name=name):
+        for entry in metadata.entry_points(
+            group=f"giajax.{role}{'e' * role.endswith('s')}s", name=name
+        ):
             try:
                 return register(entry.load())
             except ImportError as error:

@@ -501,7 +501,7 @@ def _notes(result: FitResult, method: Method, *, whole: bool) -> tuple[str, ...]
         )
     if method == "parametric":
         notes.append("the data are those of the fitted model and noise, which are taken for right")
-        if result.config.get("loss", "linear") != "linear":
+        if not result.loss.is_linear:
             notes.append(
                 "noise is normal, and larger where a cell counts for little: such outliers as the "
                 "loss is robust against are made in no other cells"

@@ -23,7 +23,6 @@ from ..fitting import (
     prior_row,
     resolved_ties,
     responses,
-    scores,
     tied,
 )
 from ..models import AbstractModel, capabilities
@@ -342,13 +341,12 @@ def cell_factors(result: FitResult, runs: Sequence[Run], at: Sequence[Response])
 
     By one over the white noise of each channel, times the root of the weight of the loss.
     """
-    loss = result.config.get("loss", "linear")
     factors = []
     several = zip(at, white_noise(result, runs, at), fitted_noise(result, runs), strict=True)
     for response, *deviations in several:
         white, fitted = (np.asarray([of[n] for n in response.channels]) for of in deviations)
         rest = np.nan_to_num((response.predicted - response.observed) / fitted)
-        psi, _, _ = scores(loss, rest)
+        psi = result.loss.scores(rest).psi
         weight = np.sqrt(np.where(rest == 0, 1.0, psi / np.where(rest == 0, 1.0, rest)))
         factors.append(np.where(np.isnan(response.observed), 0.0, weight / white))
     return factors

@@ -21,6 +21,7 @@ from ..fitting import (
     Setup,
     Start,
     between,
+    loss_of,
     parse_result,
     prior_of,
     set_up,
@@ -31,6 +32,7 @@ from ..recordings import FitSettings, Run
 from ..runtime.arrays import sobol_points
 from ..runtime.execution import prepared, run_tasks
 from ..runtime.parallel import Tell, directly, run_in_threads
+from ..runtime.plugins import mark
 from ..runtime.programs import content
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
@@ -185,7 +187,8 @@ class Asked:
         """SHA-256 of what decides where a start ends."""
         words = json.dumps([self.config, self.own, self.suited], sort_keys=True)
         data = content([self.model, [fingerprint(run) for run in self.runs]])
-        return hashlib.sha256((words + data).encode()).hexdigest()
+        of_loss = mark(type(loss_of(self.config["loss"])))
+        return hashlib.sha256((words + data + of_loss).encode()).hexdigest()
 
     def setup(self) -> Setup:
         """The setup again, kept in this process for the tasks to come."""

@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from ..fitting import FitResult, Response, Suspect, matching_runs, rho
+from ..fitting import FitResult, Response, Suspect, matching_runs
 from ..models import AbstractModel, capabilities
 from ..recordings import Run
 from ..runtime.aliases import warn_of_name
@@ -132,12 +132,12 @@ class Measured:
     def step(self, noise: Noise) -> Step:
         """The fit under a noise that may be another one's."""
         chi_square, values = self.coordinates.squares, 0
-        loss = self.result.config.get("loss", "linear")
+        loss = self.result.loss
         for response, deviations in zip(self.at, noise, strict=True):
             sigma = [_deviation(deviations, name) for name in response.channels]
             rest = (response.predicted - response.observed) / np.asarray(sigma)
             rest = rest[~np.isnan(response.observed)]
-            chi_square += float(np.sum(rho(loss, rest)))
+            chi_square += float(np.sum(loss.scores(rest).rho))
             values += len(rest)
         squares = []
         for name, stated, rest in self.apart:

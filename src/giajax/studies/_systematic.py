@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..fitting import Direction, FitResult, Response, SystematicError, matching_runs, scores
+from ..fitting import Direction, FitResult, Response, SystematicError, matching_runs
 from ..models import AbstractModel
 from ..noise import ChannelNoise, whitened
 from ..recordings import Run
@@ -254,7 +254,7 @@ def _whitened(
     result: FitResult, number: int, run: Run, response: Response, columns: np.ndarray
 ) -> np.ndarray:
     """Columns (sample, channel, column) over the measured cells, as the fit weighed them."""
-    loss, record = result.config.get("loss", "linear"), result.runs[number]
+    loss, record = result.loss, result.runs[number]
     parts = []
     for index, name in enumerate(response.channels):
         measured = ~np.isnan(response.observed[:, index])
@@ -263,7 +263,7 @@ def _whitened(
         noise = ChannelNoise.of_cell(whole, correlated, known.correlation_time_s)
         rest = (response.predicted - response.observed)[measured, index] / noise.deviation
         # The second derivative of the loss: a residual beyond its corner does not pull.
-        weights = np.maximum(scores(loss, rest)[1], _LEAST_WEIGHT)
+        weights = np.maximum(loss.scores(rest).curvature, _LEAST_WEIGHT)
         times = None if run.times is None else run.times[measured]
         parts.append(whitened(noise, times, columns[measured, index], weights))
     return np.concatenate(parts)

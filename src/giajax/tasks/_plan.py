@@ -13,6 +13,7 @@ import numpy as np
 from ..recordings import Definition, FitSettings, fit_settings
 from ..runtime.files import check_size, parse_toml, read_text
 from ..runtime.limits import TEXT_BYTES
+from ..runtime.plugins import plugins
 from ..runtime.tasks import Task
 from ..runtime.text import InputError, one_of, shown
 from ..schema import flat
@@ -356,6 +357,7 @@ def _task(fit: FitTask, checksums: Any) -> Task:
             },
             "rename": dict(fit.rename),
             "begin": fit.begin,
+            "added": {path.name: digest for path, digest in plugins().items()} or None,
         },
         aside={
             "paths": {

@@ -107,7 +107,7 @@ class Preparation:
                         f"fit --resume {folder}, give another folder, or --force to begin anew"
                     )
                 head = {"task": dict(self.record), "config": dict(self.setup.config)}
-                made_by = {**versions(), **sources_of(self.setup.model)}
+                made_by = {**versions(), **sources_of((self.setup.model, self.setup.loss))}
                 journal = Journal(folder / JOURNAL, {"versions": made_by, **head})
             journal.complain = complain
             try:

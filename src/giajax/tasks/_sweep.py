@@ -88,11 +88,13 @@ def fitted(
     rename: Mapping[str, str],
     begin: Mapping[str, Any] | None,
     paths: Mapping[str, Sequence[str]],
+    added: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """A task: a fit without the checks that end a single one: gradient, tolerance and suspects.
 
     The inputs are the name of each file of `data` and `validation` with the SHA-256 of its content
-    and of its sidecar, None where there is none; their paths have the same order.
+    and of its sidecar, None where there is none; their paths have the same order. What was `added`
+    are the plug-ins, which workers have loaded, with their SHA-256.
     """
     check_precision()
     for part, files in inputs.items():
