@@ -125,7 +125,7 @@ def source(module: str) -> tuple[str, str] | None:
     """
     package = module.partition(".")[0]
     path = getattr(sys.modules.get(module), "__file__", None)
-    if path is None or package in _OURS or package in sys.stdlib_module_names:
+    if path is None or package in OURS:
         return None
     path = Path(path).resolve()
     if any(path.is_relative_to(sysconfig.get_path(name)) for name in ("purelib", "platlib")):
@@ -136,8 +136,8 @@ def source(module: str) -> tuple[str, str] | None:
 
 
 # Their versions are in every key, and in every result.
-_OURS = {"giajax", "jax", "jaxlib", "jaxtyping", "equinox", "diffrax", "optimistix", "lineax"}
-_OURS |= {"numpy", "scipy", "pydantic", "polars"}
+OURS = {"giajax", "jax", "jaxlib", "jaxtyping", "equinox", "diffrax", "optimistix", "lineax"}
+OURS |= {"numpy", "scipy", "pydantic", "polars"} | sys.stdlib_module_names
 
 
 def mark(value: Any) -> str:

@@ -23,7 +23,7 @@ import numpy as np
 from jax import export
 
 from .identities import fields_of, identity
-from .plugins import mark, plugins
+from .plugins import OURS, mark, plugins
 
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 
@@ -112,6 +112,11 @@ class _Description:
         """Of what is none of these."""
 
 
+def _is_ours(value: Any) -> bool:
+    """Whether a class or a function, and so what it is made from, is of no plug-in."""
+    return value.__module__.partition(".")[0] in OURS
+
+
 class _Traced(_Description):
     """Of what decides how a tree is traced: numbers only of what is a part of the program."""
 
@@ -125,7 +130,8 @@ class _Traced(_Description):
             yield ","
 
     def name(self, value: Any) -> str:
-        return f"{value.__module__}.{_qualified(value)}{mark(value)}"
+        text = f"{value.__module__}.{_qualified(value)}"
+        return text if _is_ours(value) else text + mark(value)
 
     def other(self, value: Any) -> Iterator[str]:
         raise NoStructureError(f"there is no description of {type(value)}")
@@ -143,10 +149,11 @@ class _Kept(_Description):
                 yield f"{name}={text},"
 
     def name(self, value: Any) -> str:
-        place = f"{value.__module__}:{_qualified(value)}"
+        text = identity(f"{value.__module__}:{_qualified(value)}").replace(":", ".")
         # Of a plug-in what it is, too; of what Python itself imported the name, as ever.
-        added = value.__module__ in {path.stem for path in plugins()}
-        return identity(place).replace(":", ".") + mark(value) * added
+        if _is_ours(value) or value.__module__ not in {path.stem for path in plugins()}:
+            return text
+        return text + mark(value)
 
     def other(self, value: Any) -> Iterator[str]:
         if isinstance(value, PurePath):
