@@ -26,7 +26,7 @@ CASES = {"one start": (), "three starts": ("--starts", "3")}
 # to be formatted with the seconds of a step.
 SLOWLY = """
 import sys, time
-import giajax.cli._fit_run as command
+import giajax.cli._fit as command
 from giajax.__main__ import main
 shown = command.Progress.__call__
 def slowly(self, iteration):

@@ -4,7 +4,7 @@ import gc
 import os
 import sys
 
-from .runtime.signals import listen, stopped_status
+from .runtime.process import listen, own_process, stopped_status
 
 # Imports and tracing make millions of objects that stay: to look through them for cycles as often
 # as Python does by default takes a tenth of a fit's time.
@@ -24,7 +24,6 @@ def main() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from .cli import main as command_line
-        from .runtime.process import own_process
 
         own_process()
         return command_line()

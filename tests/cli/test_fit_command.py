@@ -320,7 +320,7 @@ def test_a_channel_is_renamed_on_the_way(data):
 
 
 def test_an_interruption_in_the_loop_writes_the_best_so_far(data, tmp_path, monkeypatch):
-    import giajax.cli._fit_run as command
+    import giajax.cli._fit as command
 
     shown = command.Progress.__call__
 

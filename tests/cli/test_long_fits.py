@@ -16,7 +16,7 @@ import pytest
 from evidence._kills import SLOWLY
 from giajax import load_result
 from giajax.cli import main
-from giajax.cli._fit_run import TimeLeft
+from giajax.cli._fit import TimeLeft
 from giajax.tasks import read_journal
 from small_loops import write_task
 

@@ -448,13 +448,13 @@ def keep_some(folder: Path, gone: int) -> None:
 
 def starts(case: str, **settings: float) -> None:
     """Several starts in processes of their own, of which the last ones were not fitted."""
-    from giajax.cli import _fit_run
+    from giajax.cli import _fit
 
     write_inputs(case)
     lines = [f"{name} = {value}\n" for name, value in settings.items()]
     path = Path("run_fit.toml")
     path.write_text(path.read_text().replace("[fit]\n", "".join(["[fit]\n", *lines])))
-    _fit_run.forget_starts = lambda out: None
+    _fit.forget_starts = lambda out: None
     words = ["fit", "run_fit.toml", "--starts", 5, "--seed", 2, "--workers", 1, "--no-figures"]
     giajax(*words, "--out", "whole", "--quiet")
     Path("half").mkdir()

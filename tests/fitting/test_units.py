@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from giajax import fit, model_for, read_run
-from giajax.cli._fit_run import Progress
+from giajax.cli._fit import Progress
 from giajax.fitting import (
     Estimate,
     Iteration,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.runtime.chain_loops import derivative_barrier
+from giajax.runtime.arrays import derivative_barrier
 
 X, DIRECTIONS = np.random.default_rng(0).normal(size=(2, 3, 20))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.runtime.chain_loops import running_sum
+from giajax.runtime.arrays import running_sum
 
 RANDOM = np.random.default_rng(0)
 

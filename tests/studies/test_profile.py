@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 import giajax
 from giajax import InputError, Run
-from giajax.models import Derived
+from giajax.models.capabilities import Derived
 from giajax.runtime.arrays import Scalar
 from giajax.schema.parameters import parameter
 from giajax.studies import ProfilePoint, interval_end, load_profiles, profile

@@ -16,7 +16,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from ..runtime.files import check_path
 from ..runtime.plugins import load_plugin
-from ..runtime.signals import stopped_status
+from ..runtime.process import stopped_status
 from ..runtime.text import InputError, abridged, shown
 from ._values import number
 

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..runtime.process import CORES_VARIABLE
-from ..runtime.signals import is_stopped, stopped_status
+from ..runtime.process import CORES_VARIABLE, is_stopped, stopped_status
 from ..runtime.text import InputError, time_in_words
 from ._commands import Texts
 

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..runtime.process import configure
-from ..runtime.signals import is_stopped, stopped_status
+from ..runtime.process import configure, is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import Ended, argument, command
 from ._options import Force, print_table, say_progress, say_written, write_folder

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..runtime.process import configure
-from ..runtime.signals import stopped_status
+from ..runtime.process import configure, stopped_status
 from ..runtime.text import InputError
 from ._commands import Texts, argument, command
 from ._model import is_result
@@ -49,7 +48,6 @@ if TYPE_CHECKING:
     from ..models import AbstractModel, ArmModel
     from ..recordings import FitSettings, Run
     from ..studies import Sensitivity
-
 
 _RATE = 10.0
 # Of what is recorded, SI, by the beginning of its quantity; "angle" has a rate, too.

@@ -10,7 +10,7 @@ import typer
 
 from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
-from ..runtime.signals import is_stopped, stopped_status
+from ..runtime.process import is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import Ended, Paths, Texts, argument
 from ._on_result import OnResult, on_result, record_files, show

@@ -11,15 +11,7 @@ from ..runtime.arrays import Float
 from ..runtime.records import finite_or_none
 from ._records import GradientCheck, Shift, ToleranceEffect
 from ._statistics import Statistics
-from ._steps import (
-    FitState,
-    at_tolerance,
-    evaluate,
-    has_many_rows,
-    move,
-    residuals_at,
-    step,
-)
+from ._steps import FitState, at_tolerance, evaluate, has_many_rows, move, residuals_at, step
 from ._uncertainty import inverse_gram
 
 # Whether a standard error says how far the data let a parameter go: second derivatives.

@@ -26,9 +26,8 @@ from typing import Any, Literal, TypedDict, TypeVar
 
 from .files import check_path
 from .plugins import load_plugin, plugins
-from .process import CORES_VARIABLE, configure, is_own_process, own_process
+from .process import CORES_VARIABLE, configure, is_own_process, is_stopped, own_process
 from .records import plain_data
-from .signals import is_stopped
 from .tasks import Outcome, Task, read_outcome, write_outcome
 from .text import InputError, abridged
 

@@ -21,6 +21,7 @@ from ._declaration import (
     key,
     with_keys,
 )
+from ._joint import ALPHA, BETA, BRAIDED, DRIVE, EMPIRICAL, GEOMETRY, LOAD, PISTON
 from ._kind import CAMERA_NAME
 from ._quantities_arm import (
     AIR,
@@ -43,7 +44,6 @@ from ._quantities_arm import (
     SKIN,
     SUPPLY,
 )
-from ._quantities_joint import ALPHA, BETA, BRAIDED, DRIVE, EMPIRICAL, GEOMETRY, LOAD, PISTON
 
 _PLACES = re.compile("room|tip|link([0-9]{2,})")
 _MOST_PIXELS = 1_000_000

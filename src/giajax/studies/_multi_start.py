@@ -27,12 +27,12 @@ from ..recordings import FitSettings, Run, StartsKeywords, fit_settings
 from ..runtime.parallel import Tell
 from ..runtime.process import cores
 from ..runtime.text import InputError
+from ._refit import end_values
 from ._starts import (
     End,
     by_executor,
     earlier_starts,
     end_of,
-    end_values,
     in_order,
     in_threads,
     inside_bounds,

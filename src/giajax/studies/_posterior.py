@@ -17,8 +17,8 @@ from ..fitting import Density, FitResult, density_of, energy_at
 from ..recordings import Run, unique_names
 from ..runtime.arrays import on_device
 from ..runtime.execution import run_tasks
+from ..runtime.process import is_stopped
 from ..runtime.programs import program
-from ..runtime.signals import is_stopped
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
 from ._posterior_records import Posterior, PosteriorSummary, bands, doubts, marginal

@@ -40,8 +40,7 @@ def check_uncertainty(
     ties: Mapping[str, str] | None = None,
 ) -> None:
     """Refuse uncertainties that `systematic_errors` would refuse, before anything is fitted."""
-    if uncertainty:
-        stated_doubts(free, inquiry(model, free, ties=ties), uncertainty)
+    stated_doubts(free, inquiry(model, free, ties=ties), uncertainty)
 
 
 def stated_doubts(

@@ -188,6 +188,7 @@ def prepare(
     begin = None if record["begin"] is None else WarmStart(**record["begin"])
     setup, held_out = set_up_with_hold_out(definition.fit, runs, begin)
     free = [parameter.path for parameter in setup.parameters]
-    check_uncertainty(setup.model, free, definition.fit.uncertainty, setup.config.get("ties"))
+    if uncertainty := definition.fit.uncertainty:
+        check_uncertainty(setup.model, free, uncertainty, setup.config.get("ties"))
     before = None if earlier is None else load_result(earlier)
     return Preparation(definition, setup, tuple(validation), record, held_out, before)

@@ -11,13 +11,13 @@ from ...runtime.arrays import (
     Array,
     Float,
     cross,
+    derivative_barrier,
     dot,
     factor_with_rows,
     scaled,
     solve_lower,
     solve_upper,
 )
-from ...runtime.chain_loops import derivative_barrier
 from ._air import Flow, Wind, added_mass, added_mass_load, drag, flow, lift_force, relative_velocity
 from ._arm import Arm, Bodies, bodies
 from ._hysteresis import PerJoint

@@ -19,9 +19,9 @@ from ...runtime.arrays import (
     quaternion_product,
     rotate,
     rotation_vector_to_quaternion,
+    running_sum,
     scaled,
 )
-from ...runtime.chain_loops import running_sum
 from ._arm import Arm, Bodies, bodies
 from ._hysteresis import PerJoint
 from ._parts import Axis
