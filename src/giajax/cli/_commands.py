@@ -1,24 +1,31 @@
-"""What every command is made of: its registration, its words, and how it ends."""
+"""What commands are made of: registration, words, ends; and options and output that many have."""
 
 import contextlib
 import functools
 import inspect
 import os
 import re
+import shlex
+import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
+import textwrap
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from inspect import Parameter
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from ..runtime.files import check_path
 from ..runtime.plugins import load_plugin
-from ..runtime.process import stopped_status
-from ..runtime.text import InputError, abridged, shown
+from ..runtime.process import CORES_VARIABLE, is_stopped, stopped_status
+from ..runtime.text import InputError, abridged, shown, time_in_words
 from ._values import number
+
+if TYPE_CHECKING:
+    from ..runtime.tasks import Outcome
 
 Function = Callable[..., None]
 Texts = list[str] | None
@@ -236,3 +243,227 @@ def _usage(error: Any) -> str:
     sentence = re.sub(r"(^|\. )([A-Z])", lambda m: (m[1] and ": ") + m[2].lower(), sentence)
     command = error.ctx.command_path if error.ctx is not None else "giajax"
     return f"{sentence}; '{command} --help' shows what there is"
+
+
+# Options that many commands have, said once.
+
+
+def print_table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, left: int = 1) -> None:
+    """Print a table without rules; all but the first `left` columns are aligned to the right.
+
+    Floats are shown with 5 significant digits, None as `-`. Empty headings are left out. Where
+    standard output is not a terminal nothing is wrapped: a row is a line, for grep and awk.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=any(headings))
+    for position, heading in enumerate(headings):
+        shown.add_column(Text(heading), justify="left" if position < left else "right")
+    for row in rows:
+        shown.add_row(*(Text(_cell(value)) for value in row))
+    console = Console(highlight=False)
+    if console.is_terminal:
+        console.print(shown)
+        return
+    wide = Console(highlight=False, width=10_000, color_system=None)
+    with wide.capture() as captured:
+        wide.print(shown)
+    print("\n".join(line.rstrip() for line in captured.get().splitlines()))
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+Browser = Annotated[bool, "Open a browser, or only say where."]
+Digits = Annotated[int, "N", "Significant digits that are written.", 3, 17]
+Force = Annotated[bool, "Write over files."]
+ForceFile = Annotated[bool, "Write over a file."]
+ForceRun = Annotated[bool, "Write over a run."]
+Host = Annotated[str, "ADDRESS", "Where to listen; 0.0.0.0: everywhere."]
+Json = Annotated[bool, "--json", "Print JSON instead of a table."]
+Links = Annotated[int | None, "N", "Number of links."]
+OnlyChannels = Annotated[Texts, "NAME", "Only this channel, without its unit."]
+Port = Annotated[int, "N", "Where to listen; 0 for a free one."]
+Replayed = Annotated[Path | None, "FILE.csv", "A run whose commands and wind are used instead."]
+Settings = Annotated[Texts, "PATH=VALUE", "A parameter's value.", "--set"]
+Solver = Annotated[str, "NAME", "Integration method, such as tsit5, springs5."]
+Tolerance = Annotated[float, "TOL", "Tolerance of the integration."]
+Wind = Annotated[str | None, "X,Y,Z", "Constant velocity of the air, m/s."]
+
+Renamed = Annotated[Texts, "OLD=NEW", "Read column OLD of the files as NEW."]
+
+Cores = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N", min=1, envvar=CORES_VARIABLE, help="Compute on so many cores (all of them)."
+    ),
+]
+
+
+def write_folder(out: Path, contents: Mapping[str, bytes], *, force: bool) -> None:
+    """Write files by their names into a folder, which is made where it is missing."""
+    from ..recordings import make_folder, write_files
+
+    make_folder(out)
+    write_files({out / name: content for name, content in contents.items()}, force=force)
+
+
+def terminal_width() -> int | None:
+    """Columns of the terminal; None where no person reads, so that a row is a line for grep."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def say_written(out: Path, names: Iterable[str]) -> None:
+    """Say which files of a folder were written."""
+    where = "" if out == Path() else f"{shlex.quote(str(out))}: "
+    wrote, width = f"wrote {where}{', '.join(names)}", terminal_width()
+    if width is not None:
+        wrapper = textwrap.TextWrapper(width, subsequent_indent="  ", break_on_hyphens=False)
+        wrote = wrapper.fill(wrote)
+    typer.echo(f"\n{wrote}")
+
+
+@contextlib.contextmanager
+def failed_simulation(options: str) -> Iterator[None]:
+    """End a command whose simulation fails with a sentence, and the options that may help."""
+    from ..simulation import SimulationError
+
+    try:
+        yield
+    except SimulationError as error:
+        typer.echo(f"giajax: {error}{options}", err=True)
+        raise typer.Exit(1) from None
+
+
+def say_progress(quiet: bool) -> Callable[[str], None] | None:
+    """What shows a line on standard error, unless nothing is to be shown."""
+    return None if quiet else (lambda text: typer.echo(text, err=True))
+
+
+def say_served(page: Any, whoever: str, end: str, *, browser: bool) -> None:
+    """Say where a page is, what somebody else could do with its address, and how it ends."""
+    from ..apps.viewer import open_in_browser
+
+    typer.echo(f"open {page.address}")
+    if page.is_open:
+        typer.echo(f"whoever has this address {whoever}, from other machines, too")
+    typer.echo(f"Ctrl-C {end}")
+    if browser:
+        open_in_browser(page.address)
+
+
+def origin(context: typer.Context) -> str:
+    """The command line without what only says where to write."""
+    from importlib.metadata import version
+
+    words = [f"giajax {version('giajax')} {context.command.name}"]
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if parameter.name in ("out", "force") or value in (None, [], (), parameter.default):
+            continue
+        items = value if isinstance(value, list | tuple) else [value]
+        for item in items:
+            shown = f"{item:.15g}" if isinstance(item, float) else str(item)
+            # An argument has its place and no name.
+            option = [parameter.opts[0]] if parameter.opts[0].startswith("-") else []
+            words.append(" ".join([*option, shlex.quote(shown)]))
+    return " ".join(words)
+
+
+Workers = Annotated[int | None, "N", "Compute in so many processes of this machine (1).", 1]
+
+Scheduler = Annotated[
+    str | None, "ADDRESS", "Compute on a cluster of dask.distributed: tcp://host:8786."
+]
+
+STARTS = "starts"  # folder of a file for each start of a fit that workers do, beside its journal
+
+# A line so often; for the first tasks, whose programs are compiled, none says how long it takes.
+_BETWEEN_S = 5.0
+_LEAST = 2
+
+
+def stop_if_asked(_: Any) -> None:
+    """Stop what was signalled, where the exception was lost, as in a callback of a library."""
+    if is_stopped():
+        raise KeyboardInterrupt
+
+
+def end_if_stopped(folder: Path | None) -> None:
+    """End a command that was stopped and has written what it had; say how to go on.
+
+    Its tasks were kept in the folder, if there is one.
+    """
+    if is_stopped():
+        how = "with --force" if folder is not None else "with --folder DIR, and --force,"
+        typer.echo(f"giajax: stopped: the same command {how} goes on another time", err=True)
+        raise typer.Exit(stopped_status())
+
+
+@contextlib.contextmanager
+def workers_of_starts(
+    workers: int | None, scheduler: str | None, starts: int, out: Path
+) -> Iterator[dict[str, Any]]:
+    """Who fits the starts of a fit, as arguments of `Preparation.run`: none for threads.
+
+    The folder of the result, `out`, has a file for each start until all of them are done.
+    """
+    if workers is None and scheduler is None:
+        yield {}
+        return
+    if starts < 2:
+        raise InputError("there is one start, which one process fits: add --starts N")
+    from ..runtime.execution import open_executor
+
+    with open_executor(workers, scheduler) as executor:
+        yield {"executor": executor, "folder": out / STARTS}
+
+
+def forget_starts(out: Path) -> None:
+    """Remove the files of starts whose result is written."""
+    for path in (out / STARTS).glob("*.json"):
+        path.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # It is not there, or something of somebody else's is.
+        (out / STARTS).rmdir()
+
+
+class ManyProgress:
+    """`progress` of `run_tasks`, whose tasks are `what`: a line on standard error now and then."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._first: tuple[int, float] | None = None
+        self._said = self._began = time.monotonic()
+        self._failed = 0
+        self._ended = False
+
+    def __call__(self, outcome: "Outcome", done: int, total: int) -> None:
+        self._failed += outcome.status == "failed"
+        if self._first is None and done > 1:
+            typer.echo(f"{done - 1} of {total} {self._what} are there already", err=True)
+        self.after(done, total)
+
+    def after(self, done: int, total: int) -> None:
+        """Say how many are done, and how long the others will take."""
+        now = time.monotonic()
+        if self._first is None:
+            # The first one compiles what the others share.
+            self._first = done, now
+        if self._ended or (done < total and now - self._said < _BETWEEN_S):
+            return
+        self._said, self._ended = now, done == total
+        words = f"{done} of {total} {self._what} done"
+        if self._failed:
+            words += f", {self._failed} of them failed"
+        first, began = self._first
+        if done == total:
+            words += f", in {time_in_words(now - self._began)}"
+        elif done - first >= _LEAST:
+            left = (now - began) / (done - first) * (total - done)
+            words += f", about {time_in_words(left)} left"
+        typer.echo(words, err=True)

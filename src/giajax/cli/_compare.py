@@ -7,9 +7,8 @@ from typing import Annotated
 import typer
 
 from ..runtime.process import configure
-from ._commands import Paths, Texts, argument, command
+from ._commands import ForceFile, Json, Paths, Renamed, Texts, argument, command, print_table
 from ._on_result import OnResult, on_result
-from ._options import ForceFile, Json, Renamed, print_table
 
 
 @command("""\b

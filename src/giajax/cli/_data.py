@@ -8,8 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ..runtime.text import InputError
-from ._commands import Texts, argument, command
-from ._options import Force, ForceRun, Renamed, print_table
+from ._commands import Force, ForceRun, Renamed, Texts, argument, command, print_table
 from ._values import numbers
 
 

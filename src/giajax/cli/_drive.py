@@ -11,9 +11,22 @@ import typer
 
 from ..runtime.process import configure
 from ..runtime.text import InputError
-from ._commands import Paths, Texts, argument, command
+from ._commands import (
+    Browser,
+    ForceFile,
+    ForceRun,
+    Host,
+    Links,
+    Paths,
+    Port,
+    Renamed,
+    Texts,
+    argument,
+    command,
+    origin,
+    say_served,
+)
 from ._model import is_result
-from ._options import Browser, ForceFile, ForceRun, Host, Links, Port, Renamed, origin, say_served
 from ._simulate import channel_names, definition_from_options, gusts_of, write_and_say
 from ._values import noise_section, settings, with_settings
 

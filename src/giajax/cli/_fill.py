@@ -8,8 +8,7 @@ import typer
 from ..runtime.limits import FILLING_S
 from ..runtime.process import configure
 from ..runtime.text import InputError
-from ._commands import Texts, argument, command
-from ._options import Force, Json, print_table, say_written, write_folder
+from ._commands import Force, Json, Texts, argument, command, print_table, say_written, write_folder
 from ._values import settings, with_settings
 
 if TYPE_CHECKING:

@@ -16,13 +16,16 @@ import typer
 
 from ..runtime.process import CORES_VARIABLE, configure, stopped_status
 from ..runtime.text import InputError, time_in_words
-from ._commands import Paths, Texts, argument, command
-from ._options import (
+from ._commands import (
     Cores,
     ManyProgress,
+    Paths,
     Renamed,
     Scheduler,
+    Texts,
     Workers,
+    argument,
+    command,
     forget_starts,
     print_table,
     say_written,

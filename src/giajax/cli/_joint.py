@@ -10,8 +10,17 @@ import typer
 
 from ..runtime.process import configure
 from ..runtime.text import InputError
-from ._commands import Texts, command
-from ._options import Digits, Force, ForceRun, Renamed, print_table, say_written, write_folder
+from ._commands import (
+    Digits,
+    Force,
+    ForceRun,
+    Renamed,
+    Texts,
+    command,
+    print_table,
+    say_written,
+    write_folder,
+)
 from ._values import Values, settings, with_settings
 
 if TYPE_CHECKING:

@@ -11,8 +11,17 @@ import typer
 
 from ..runtime.process import configure
 from ..runtime.text import InputError
-from ._commands import Texts, argument, command
-from ._options import Force, Json, origin, print_table, say_written, write_folder
+from ._commands import (
+    Force,
+    Json,
+    Texts,
+    argument,
+    command,
+    origin,
+    print_table,
+    say_written,
+    write_folder,
+)
 from ._values import numbers, settings, with_settings
 
 if TYPE_CHECKING:

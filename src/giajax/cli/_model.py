@@ -9,8 +9,7 @@ import typer
 
 from ..runtime.process import configure
 from ..runtime.text import InputError
-from ._commands import argument, command
-from ._options import ForceFile, Json, OnlyChannels, Renamed, print_table
+from ._commands import ForceFile, Json, OnlyChannels, Renamed, argument, command, print_table
 
 if TYPE_CHECKING:
     from ..models import AbstractModel

@@ -16,15 +16,18 @@ import typer
 
 from ..runtime.process import configure
 from ..runtime.text import InputError
-from ._commands import Paths, argument, command, with_signature
-from ._options import (
+from ._commands import (
     ManyProgress,
+    Paths,
     Renamed,
     Scheduler,
     Workers,
+    argument,
+    command,
     end_if_stopped,
     print_table,
     say_written,
+    with_signature,
 )
 
 if TYPE_CHECKING:

@@ -9,8 +9,16 @@ import typer
 
 from ..runtime.process import configure, is_stopped, stopped_status
 from ..runtime.text import InputError
-from ._commands import Ended, argument, command
-from ._options import Force, print_table, say_progress, say_written, write_folder
+from ._commands import (
+    Ended,
+    Force,
+    argument,
+    command,
+    print_table,
+    say_progress,
+    say_written,
+    write_folder,
+)
 
 # As `giajax.apps.paper` has them, which would import JAX for a help text.
 NAMES = ("fig5", "fig6", "fig9", "fig10", "fig12", "fig19", "table3")

@@ -10,23 +10,25 @@ import typer
 
 from ..runtime.process import configure, stopped_status
 from ..runtime.text import InputError
-from ._commands import Texts, argument, command
-from ._model import is_result
-from ._options import (
+from ._commands import (
     Force,
     Json,
     Links,
     Replayed,
     Settings,
     Solver,
+    Texts,
     Tolerance,
     Wind,
+    argument,
+    command,
     failed_simulation,
     print_table,
     say_written,
     stop_if_asked,
     write_folder,
 )
+from ._model import is_result
 from ._simulate import (
     DURATION,
     channel_names,

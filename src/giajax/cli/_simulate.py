@@ -11,19 +11,21 @@ import typer
 
 from ..runtime.process import configure
 from ..runtime.text import InputError
-from ._commands import Texts, argument, command
-from ._model import definition_of, model_of
-from ._options import (
+from ._commands import (
     Digits,
     ForceRun,
     Links,
     Replayed,
     Solver,
+    Texts,
     Tolerance,
     Wind,
+    argument,
+    command,
     failed_simulation,
     origin,
 )
+from ._model import definition_of, model_of
 from ._values import (
     NUMBER,
     Values,

@@ -12,9 +12,17 @@ from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
 from ..runtime.process import is_stopped, stopped_status
 from ..runtime.text import InputError
-from ._commands import Ended, Paths, Texts, argument
+from ._commands import (
+    Ended,
+    ManyProgress,
+    Paths,
+    Texts,
+    argument,
+    print_table,
+    say_written,
+    write_folder,
+)
 from ._on_result import OnResult, on_result, record_files, show
-from ._options import ManyProgress, print_table, say_written, write_folder
 from ._values import plain_settings
 
 if TYPE_CHECKING:

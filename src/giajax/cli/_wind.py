@@ -7,9 +7,18 @@ import typer
 
 from ..runtime.process import configure
 from ..runtime.text import InputError
-from ._commands import Texts, command
+from ._commands import (
+    Force,
+    Json,
+    OnlyChannels,
+    Renamed,
+    Texts,
+    command,
+    print_table,
+    say_written,
+    write_folder,
+)
 from ._model import definition_of, model_of
-from ._options import Force, Json, OnlyChannels, Renamed, print_table, say_written, write_folder
 from ._simulate import gust_numbers
 from ._values import velocity
 
