@@ -1,5 +1,8 @@
 """Accelerations of arms so long that their joints are eliminated in several pieces."""
 
+import functools
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,6 +30,7 @@ CASES = [
 ]  # fmt: skip
 
 
+@eqx.filter_jit
 def factors(arm, angles):
     here = pose(arm, angles)
     return motion_and_momentum(arm, here, sum_from_tip(carried_inertia(arm, here)))
@@ -36,6 +40,13 @@ def states(links, seed=0):
     return {name: value[0] for name, value in random_states(links, 1, seed=seed).items()}
 
 
+@eqx.filter_jit
+def solved(arm, angles, more, torques):
+    """The mass matrix, and solutions of all of it and by the pieces that are left of that."""
+    pieces, solution = eliminate_and_solve(*factors(arm, angles), more, torques[0])
+    return mass_matrix(arm, angles), pieces, (solution, solve_eliminated(pieces, torques[1]))
+
+
 @pytest.mark.parametrize(("links", "armature"), CASES)
 def test_pieces_solve_with_the_whole_mass_matrix(links, armature):
     random = np.random.default_rng(links)
@@ -43,14 +54,12 @@ def test_pieces_solve_with_the_whole_mass_matrix(links, armature):
     angles = jnp.asarray(random.normal(size=links) * 0.1)
     torques = jnp.asarray(random.normal(size=(2, links)))
     more = {None: None, "one": 0.3, "each": random.uniform(0.1, 1.0, links)}[armature]
-    matrix = np.asarray(mass_matrix(arm, angles))
+    held = None if more is None else jnp.asarray(more)
+    matrix, pieces, solutions = solved(arm, angles, held, torques)
+    assert len(pieces) == -(-links // 48)
     if more is not None:
         matrix = matrix + np.diag(np.broadcast_to(more, links))
-        more = jnp.asarray(more)
-    pieces, solution = jax.jit(eliminate_and_solve)(*factors(arm, angles), more, torques[0])
-    assert len(pieces) == -(-links // 48)
-    another = solve_eliminated(pieces, torques[1])
-    for torque, found in zip(torques, (solution, another), strict=True):
+    for torque, found in zip(torques, solutions, strict=True):
         # As exactly as a solution that is stable backwards.
         rounding = np.finfo(float).eps * np.abs(matrix).sum(axis=1).max() * np.abs(found).max()
         assert_allclose(matrix @ found, torque, rtol=0, atol=4 * rounding)
@@ -60,32 +69,47 @@ def test_pieces_solve_with_the_whole_mass_matrix(links, armature):
 def test_inverse_dynamics_undoes_forward_dynamics_of_a_long_arm(make):
     arm, state = make(100), states(100)
     torques = state["command"]
-    options = state["angles"], state["rates"]
-    back = inverse_dynamics(arm, *options, forward_dynamics(arm, *options, torques))
+
+    @jax.jit
+    def there_and_back(torques):
+        options = state["angles"], state["rates"]
+        return inverse_dynamics(arm, *options, forward_dynamics(arm, *options, torques))
+
+    back = there_and_back(torques)
     assert_allclose(back, torques, atol=1e-8)
+
+
+PATHS = ("air.drag_coefficient", "joints.pitch_stiffness", "air.added_mass_coefficient")
+AT = np.array([1.2, 3.0, 0.8, 0.0])
+BENT = np.random.default_rng(1).normal(size=100)
+
+
+def accelerations(values, arm, state):
+    """By what the mass matrix is made of, too, and by how the arm is bent."""
+    changed = giajax.schema.parameters.replace(arm, dict(zip(PATHS, values[:3], strict=True)))
+    angles = state["angles"] + values[3] * BENT
+    return acceleration(changed, angles, state["rates"], state["command"])
+
+
+@functools.cache
+def long_arm():
+    """An arm, a state of it, and by how much its accelerations differ with the values."""
+    about = full_arm(100), {name: 0.3 * value for name, value in states(100).items()}
+    steps = np.array([1e-3, 1e-3, 1e-4, 1e-6])
+    rows = np.concatenate([AT + np.diag(steps), AT - np.diag(steps)])
+    found = jax.jit(jax.vmap(accelerations, (0, None, None)))(rows, *about)
+    ahead, back = np.split(np.asarray(found), 2)
+    return *about, (ahead - back).T / (2 * steps)
 
 
 @pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev])
 def test_derivatives_of_a_long_arm_are_its_differences(transform):
-    """Of three pieces, also by what the mass matrix is made of."""
-    arm = full_arm(100)
-    state = {name: 0.3 * value for name, value in states(100).items()}
-    paths = ("air.drag_coefficient", "joints.pitch_stiffness", "air.added_mass_coefficient")
-    bent = np.random.default_rng(1).normal(size=100)
-
-    def accelerations(values):
-        changed = giajax.schema.parameters.replace(arm, dict(zip(paths, values[:3], strict=True)))
-        angles = state["angles"] + values[3] * bent
-        return acceleration(changed, angles, state["rates"], state["command"])
-
-    at = jnp.asarray([1.2, 3.0, 0.8, 0.0])
-    slopes = jax.jit(transform(accelerations))(at)
-    steps = np.array([1e-3, 1e-3, 1e-4, 1e-6])
-    ahead = jax.jit(jax.vmap(accelerations))
-    change = ahead(at[None] + np.diag(steps)) - ahead(at[None] - np.diag(steps))
+    """Of three pieces."""
+    *about, differences = long_arm()
+    slopes = np.asarray(jax.jit(transform(accelerations))(AT, *about))
     sizes = np.abs(slopes).max(axis=0)
     assert np.all(sizes > 0)
-    assert_allclose(slopes / sizes[None], change.T / (2 * steps * sizes)[None], rtol=0, atol=1e-5)
+    assert_allclose(slopes / sizes, differences / sizes, rtol=0, atol=1e-5)
 
 
 def test_what_no_inertia_has_fails_in_every_joint():

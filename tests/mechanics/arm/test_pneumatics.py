@@ -1,5 +1,7 @@
 """Muscles in joints of an arm: the statics of a joint in place, finite and with slopes."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,9 +14,7 @@ from giajax import InputError
 from giajax.mechanics import arm as mechanics, joint as statics
 from giajax.mechanics.arm import (
     Pneumatics,
-    acceleration,
     chain,
-    muscle_power,
     potential_energy,
 )
 from giajax.mechanics.joint import (
@@ -30,6 +30,9 @@ from giajax.mechanics.joint import (
 
 joint_torque = eqx.filter_jit(mechanics.joint_torque)
 net_torque = eqx.filter_jit(statics.net_torque)
+acceleration = eqx.filter_jit(mechanics.acceleration)
+muscle_power = eqx.filter_jit(mechanics.muscle_power)
+commanded = eqx.filter_jit(Pneumatics.commanded)
 
 LINKS = 4
 PAIR = Pneumatics((1,)).pair
@@ -61,15 +64,16 @@ def test_the_torque_is_that_of_the_joint_at_rest(muscles, joints):
 def test_the_controller_of_an_arm_is_that_of_a_joint():
     drive = chain(LINKS, muscles="pitch").pneumatics
     command = jnp.deg2rad(jnp.asarray([30.0, 5.0, -2.0, 0.0]))
-    found = drive.commanded(command)
+    found = commanded(drive, command)
+    of_a_joint = eqx.filter_jit(lambda angle: pair_command(PAIR, angle).pressures)
     for joint in (0, 2):
-        assert_allclose(found[:, joint], pair_command(PAIR, command[joint]).pressures, rtol=1e-13)
+        assert_allclose(found[:, joint], of_a_joint(command[joint]), rtol=1e-13)
     assert_allclose(found[:, np.asarray([1, 3])], 0)
     # A joint that is stiff of itself is held against that, too.
     stiff = chain(LINKS, muscles="pitch", parameters={"drive.passive_stiffness": 0.2})
     torque = joint_torque(stiff, command, jnp.zeros(LINKS), command)
     assert_allclose(torque, 0, atol=1e-14)
-    assert not np.allclose(stiff.pneumatics.commanded(command), found)
+    assert not np.allclose(commanded(stiff.pneumatics, command), found)
 
 
 def test_beyond_its_range_a_joint_is_finite_and_comes_back():
@@ -100,44 +104,66 @@ def special_states():
             yield angle, first, second
 
 
+@functools.cache
+def flat_drive(stiffness):
+    """The parameters of a joint with that stiffness of its own, and how they are put together."""
+    stiff = {"drive.passive_stiffness": stiffness}
+    flat, unflatten = ravel_pytree(chain(1, muscles="all", parameters=stiff).pneumatics)
+    return np.asarray(flat), unflatten
+
+
+def values(unflatten):
+    """Torque, controller and energy of one joint, by its parameters, angle and pressures."""
+
+    def of(flat, row):
+        own = unflatten(flat)
+        held = own.commanded(jnp.clip(row[:1], -1, 1))[:, 0] / 1e5
+        return jnp.stack([own.torque(row[:1], row[1:, None])[0], *held, own.energy(row[:1])[0]])
+
+    return of
+
+
+ORDINARY = [(0.3, 3e4, 2.5e4), (-0.03, 2.7e4, 2.6e4), (1.2, 5e4, 1.5e4)]
+
+
+@functools.cache
+def slopes(mode, stiffness):
+    """By parameters, and by angle and pressures, in ordinary and in special states."""
+    flat, _ = flat_drive(stiffness)
+    rows = np.asarray([*ORDINARY, *special_states()])
+    return [np.asarray(each) for each in slopes_by(mode)(flat, rows)]
+
+
+@functools.cache
+def slopes_by(mode):
+    one = mode(values(flat_drive(0.1)[1]), (0, 1))
+    return jax.jit(jax.vmap(one, (None, 0)))
+
+
 @pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
 def test_derivatives_are_finite_wherever_something_begins(mode):
-    drive = Pneumatics((1,))
-    rows = jnp.asarray(list(special_states()))
-    arrays, rest = eqx.partition(drive, eqx.is_inexact_array)
-
-    def values(arrays, row):
-        own = eqx.combine(arrays, rest)
-        command = jnp.clip(row[:1], -1.0, 1.0)
-        torque = own.torque(row[:1], row[1:, None])[0]
-        return jnp.stack([torque, *(own.commanded(command)[:, 0] / 1e5), own.energy(row[:1])[0]])
-
-    slopes = jax.jit(jax.vmap(mode(values, (0, 1)), (None, 0)))(arrays, rows)
-    assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(slopes))
+    for stiffness in (0.0, 0.1):
+        assert all(np.all(np.isfinite(each)) for each in slopes(mode, stiffness))
 
 
 def test_derivatives_are_those_that_differences_show():
-    drive = chain(1, muscles="all", parameters={"drive.passive_stiffness": 0.1}).pneumatics
-    flat, unflatten = ravel_pytree(drive)
-    rows = jnp.asarray([[0.3, 3e4, 2.5e4], [-0.03, 2.7e4, 2.6e4], [1.2, 5e4, 1.5e4]])
-
-    @jax.jit
-    def values(flat, row):
-        own = unflatten(flat)
-        commanded = own.commanded(jnp.clip(row[:1], -1, 1))[:, 0] / 1e5
-        return jnp.stack(
-            [own.torque(row[:1], row[1:, None])[0], *commanded, own.energy(row[:1])[0]]
-        )
-
-    slopes = jax.jit(jax.vmap(jax.jacfwd(values), (None, 0)))(flat, rows)
-    steps = 1e-6 * jnp.maximum(jnp.abs(flat), 1e-3)
-    off = jnp.diag(steps)
-    each = jax.vmap(jax.vmap(values, (0, None)), (None, 0))
-    found = (each(flat[None] + off, rows) - each(flat[None] - off, rows)) / (
-        2 * steps[None, :, None]
-    )
+    flat, unflatten = flat_drive(0.1)
+    rows = np.asarray(ORDINARY)
+    steps = 1e-6 * np.maximum(np.abs(flat), 1e-3)
+    off = np.diag(steps)
+    each = jax.jit(jax.vmap(jax.vmap(values(unflatten), (0, None)), (None, 0)))
+    either = np.asarray(each(np.concatenate([flat + off, flat - off]), rows))
+    ahead, back = np.split(either, 2, axis=1)
+    found = (ahead - back) / (2 * steps[None, :, None])
     scale = np.max(np.abs(found), axis=(0, 1), keepdims=True)
-    assert_allclose(jnp.swapaxes(slopes, 1, 2), found, rtol=2e-5, atol=1e-8 * scale.max())
+    computed = np.swapaxes(slopes(jax.jacfwd, 0.1)[0][: len(rows)], 1, 2)
+    assert_allclose(computed, found, rtol=2e-5, atol=1e-8 * scale.max())
+
+
+@eqx.filter_jit
+def stored_along(arm, angles, rates, command):
+    """How fast what is stored grows."""
+    return jax.jvp(lambda q: potential_energy(arm, q, command), (angles,), (rates,))[1]
 
 
 def test_what_muscles_do_is_stored_or_resisted():
@@ -149,12 +175,9 @@ def test_what_muscles_do_is_stored_or_resisted():
         pressures = jnp.asarray(random.uniform(0, 5e4, (2, LINKS)))
         command = angles.at[np.asarray([0, 2])].set(0)  # no spring is strained
 
-        def stored(angles, command=command):
-            return potential_energy(arm, angles, command)
-
-        change = jax.jvp(stored, (angles,), (rates,))[1]
         torque = joint_torque(arm, angles, jnp.zeros(LINKS), command, pressures=pressures)
         power = muscle_power(arm, angles, rates, pressures)
+        change = stored_along(arm, angles, rates, command)
         assert float(torque @ rates) == pytest.approx(float(power - change), rel=1e-10, abs=1e-12)
 
 
@@ -176,13 +199,14 @@ def test_an_ideal_braid_does_the_work_of_its_gas():
             )
             return (jnp.pi * radius**2 * left * length)[0]
 
-        return of
+        return jax.jit(lambda at, along: jax.jvp(of, (at,), (along,))[1])
 
+    along = [volume(side) for side in (1.0, -1.0)]
     for at in (0.4, -0.02, -0.9):
         angles, rates = jnp.asarray([at]), jnp.asarray([0.7])
         gas = sum(
-            float(pressures[row, 0]) * jax.jvp(volume(side), (angles,), (rates,))[1]
-            for row, side in enumerate((1.0, -1.0))
+            float(pressure) * grows(angles, rates)
+            for pressure, grows in zip(pressures[:, 0], along, strict=True)
         )
         assert float(muscle_power(arm, angles, rates, pressures)) == pytest.approx(float(gas))
 
@@ -193,8 +217,8 @@ def test_another_law_drives_an_arm():
     command = jnp.deg2rad(jnp.asarray([25.0, 0.0]))
     still = jnp.zeros(2)
     assert_allclose(acceleration(arm, command, still, command), 0, atol=1e-11)
-    braided = chain(2, muscles="pitch").pneumatics.commanded(command)
-    assert not np.allclose(arm.pneumatics.commanded(command), braided)
+    braided = commanded(chain(2, muscles="pitch").pneumatics, command)
+    assert not np.allclose(commanded(arm.pneumatics, command), braided)
 
 
 def test_at_60_degrees_the_slope_is_that_of_the_range():
