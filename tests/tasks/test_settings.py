@@ -123,7 +123,7 @@ def test_what_is_wrong_in_a_file_is_one_sentence(tmp_path, text, sentence):
 
 @pytest.mark.quick
 def test_each_setting_is_a_keyword_and_an_option(capsys):
-    """But the files, which tasks and the command have by other arguments."""
+    """But the files, which tasks and the command have by other arguments; and objects of Python."""
     files = {"data", "validation", "out"}
     assert set(TaskKeywords.__annotations__) | files == set(FitSettings.model_fields)
     assert main(["fit", "--help"]) == 0
@@ -131,7 +131,7 @@ def test_each_setting_is_a_keyword_and_an_option(capsys):
     called = {"priors": "prior", "ties": "tie", "groups": "group"}
     for name, field in FitSettings.model_fields.items():
         option = f" --{called.get(name, name).removesuffix('_s').replace('_', '-')} "
-        assert option in shown or name in files, option
+        assert option in shown or name in files | {"optimiser"}, option
         if field.default not in (None, False, [], {}):
             about = shown.rpartition(option)[0] if name in files else shown.partition(option)[2]
             assert f"({field.default})." in about.partition(" --")[0], option

@@ -485,6 +485,7 @@ def _config(
         "ties": settings.ties,
         "groups": groups,
         "begin": None if begin is None else dataclasses.asdict(begin),
+        "optimiser": _in_words(settings.optimiser),
     }
     return {
         "definition": setup.model.definition(),
@@ -501,6 +502,15 @@ def _config(
         # What a fit does not have, its configuration does not mention.
         **{name: value for name, value in limits.items() if value},
     }
+
+
+def _in_words(optimiser: Any) -> str:
+    """The class of an optimiser and its numbers; empty for giajax's own."""
+    if optimiser is None:
+        return ""
+    fields = {each.name: getattr(optimiser, each.name) for each in dataclasses.fields(optimiser)}
+    numbers = [f"{k}={v}" for k, v in fields.items() if isinstance(v, int | float)]
+    return f"{type(optimiser).__qualname__}({', '.join(numbers)})"
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -84,7 +84,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         tolerance_effect=done.tolerance,
         conditions=tuple(capabilities.conditions(model, moved, setup.runs)),
         seconds=Seconds(compile=compiling, run=elapsed - compiling),
-        versions={**versions(), **sources_of((model, setup.loss))},
+        versions={**versions(), **sources_of((model, setup.loss, setup.settings.optimiser))},
         config={**setup.config, "max_iterations": max_iterations},
         history=state.history,
         predictions=tuple(predictions),
@@ -228,6 +228,10 @@ def fit(
             all links.
         per_run: paths of free parameters that have a value of their own in each recording.
         groups: names of the runs that share a value, group by group, by path.
+        optimiser: a least-squares solver of optimistix in place of giajax's own, such as
+            `optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8)`: its steps are one program, during
+            which nothing is told or stopped, and its derivatives end at the bounds. Studies of the
+            result use giajax's own.
         max_iterations: trial steps before the fit gives up.
         budget: wall time that the fit may take, s or "10m"; it then ends with the best so far.
         progress: called after each step with an `Iteration`.

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Self
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -264,6 +265,36 @@ def residual_row(coordinate: Array, problem: Problem) -> Array:
 def joined_row(parts: Any, coordinate: Array, problem: Problem) -> Array:
     row, prediction = joined(parts, coordinate, problem)
     return jnp.where(prediction.successful, row, jnp.nan)
+
+
+def _moving_row(y: Array, args: tuple[Problem, Array, Array]) -> Array:
+    """The residual by the coordinates that move, on a side of the box where they leave it."""
+    problem, coordinate, places = args
+    there = coordinate.at[places].set(y)
+    lower, upper = problem.bijector.ends()
+    # On a side itself the derivative is that of the inside, so that what begins there comes back.
+    inside = (there >= lower) & (there <= upper)
+    return residual_row(jnp.where(inside, there, jnp.clip(there, lower, upper)), problem)
+
+
+_of_moving = eqx.filter_custom_jvp(_moving_row)
+
+
+@_of_moving.def_jvp
+def _of_moving_jvp(primals: tuple[Array, Any], tangents: tuple[Any, Any]) -> tuple[Array, Array]:
+    # A matrix, which has a transpose, where the loop of an integrator has none.
+    y, args = primals
+    row, matrix, _ = with_jacobian(lambda y: (_moving_row(y, args), ()), y)
+    return row, matrix @ tangents[0]
+
+
+@program
+def minimised(
+    optimiser: optx.AbstractLeastSquaresSolver, y: Array, args: Any, most: int
+) -> tuple[Array, Array, Array]:
+    """Where a solver of optimistix ends, whether at an optimum, and after how many steps."""
+    end: Any = optx.least_squares(_of_moving, optimiser, y, args, max_steps=most, throw=False)
+    return end.value, end.result == optx.RESULTS.successful, end.stats["num_steps"]
 
 
 def _options(bijector: Bijector, active: Array) -> dict[str, Any]:

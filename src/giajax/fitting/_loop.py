@@ -11,9 +11,10 @@ import numpy as np
 from ..runtime.arrays import on_device
 from ..runtime.text import InputError, time_in_words
 from ._checks import can_improve, with_finer_tolerance, with_suitable_tolerance
+from ._linearise import minimised
 from ._noise import reestimate
 from ._records import Iteration
-from ._steps import FitState, Reason, reweight, step, trial
+from ._steps import FitState, Reason, move, reweight, step, trial
 from ._uncertainty import responds
 
 
@@ -160,7 +161,8 @@ def advance(state: FitState) -> FitState:
     if not state.evaluated:
         return _at_start(state)
     if not state.done:
-        return _after(trial(state))
+        by_its_own = state.setup.settings.optimiser is None
+        return _after(trial(state)) if by_its_own else _by_optimiser(state)
     return _next_round(state)
 
 
@@ -301,6 +303,38 @@ def _after(tried: FitState) -> FitState:
     return tried.ended("not_converged", sentence, reason) if reason else tried
 
 
+def _by_optimiser(state: FitState) -> FitState:
+    """Where the optimiser of the settings ends, all steps in one, by the same derivatives."""
+    optimiser, most = state.setup.settings.optimiser, state.setup.settings.max_iterations
+    name = type(optimiser).__name__
+    coordinate = np.array(state.coordinate)
+    places = np.flatnonzero(np.asarray(state.active))
+    y = on_device(coordinate[places], coordinate.dtype)
+    y, successful, count = minimised(
+        optimiser, y, (state.problem, state.coordinate, on_device(places)), most
+    )
+    coordinate[places] = np.asarray(y)
+    lower, upper = state.problem.bijector.ends()
+    there = step(move(state, np.clip(coordinate, np.asarray(lower), np.asarray(upper))))
+    # One that diverges may end anywhere.
+    there = there if there.cost <= state.cost else state
+    there = dataclasses.replace(there, trials=state.trials + int(count))
+    there = there.recorded(accepted=there.cost < state.cost)
+    if successful and near_optimum(there):
+        return dataclasses.replace(there, done=True, converged=True)
+    if successful and there.cost < (1 - _CRAWL) * state.cost:
+        # Beyond a bound it had no derivative: from the bound it may come back.
+        return dataclasses.replace(there, done=False, converged=False)
+    reason: Reason
+    if int(count) >= most:
+        how, reason = f"found no optimum in {most} iterations: allow more, or", "iterations"
+    elif successful:
+        how, reason = "ended where a step would still gain: give it smaller tolerances, or", "crawl"
+    else:
+        how, reason = f"stopped after {int(count)} iterations without an optimum:", "rough"
+    return there.ended("not_converged", f"{name} {how} start elsewhere", reason)
+
+
 def _next_round(state: FitState) -> FitState:
     """From an optimum to the next one with another noise; where the noise is settled, the end.
 
@@ -323,7 +357,7 @@ def _settled(state: FitState) -> FitState:
         # The optimum has followed it; where no step is left, the noise may have done so, too.
         finer = finer.recorded(accepted=True)
         return dataclasses.replace(finer, done=not can_improve(finer), converged=True)
-    if can_improve(finer):
+    if can_improve(finer) and state.setup.settings.optimiser is None:
         # So near to the optimum the noise is settled: it is not estimated once more.
         return dataclasses.replace(finer, done=False, converged=True, rounds_left=0)
     return _converged(finer)

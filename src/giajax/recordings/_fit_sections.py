@@ -180,6 +180,20 @@ Values = dict[Name, Finite | list[Finite]]
 """Numbers by path, SI: one for a whole parameter, or one for each of its elements."""
 
 
+def _known_optimiser(said: Any) -> Any:
+    """A solver of optimistix, which is not imported here."""
+    if any(each.__name__ == "AbstractLeastSquaresSolver" for each in type(said).__mro__):
+        return said
+    given = " ".join(shown(said).split())
+    raise ValueError(f"= {given} must be {_OPTIMISER}: give one, or leave it out")
+
+
+_OPTIMISER = (
+    "a least-squares solver of optimistix, such as optimistix.LevenbergMarquardt(rtol=1e-8, "
+    "atol=1e-8), from Python"
+)
+
+
 class FitSettings(Section):
     """All settings of a fit: `[fit]` of a definition, keywords of Python, options of the command.
 
@@ -281,6 +295,9 @@ class FitSettings(Section):
     tolerance: Positive | None = key(
         "a positive number", "Tolerance of the integration (chosen by what it moves)."
     )
+    optimiser: Annotated[Any, Field(exclude=True), BeforeValidator(_known_optimiser)] = key(
+        _OPTIMISER, "What minimises, in place of giajax's trust region; no file states it."
+    )
     max_iterations: Annotated[int, Field(ge=1)] = key(
         "a whole number of at least 1", "Trial steps before the fit gives up.", default=50
     )
@@ -357,6 +374,7 @@ class FitKeywords(TypedDict, total=False):
     noise_per_run: bool | None
     solver: str | None
     tolerance: float | None
+    optimiser: Any
     max_iterations: int | None
     budget: float | str | None
 

@@ -180,6 +180,11 @@ class Asked:
     @classmethod
     def of(cls, setup: Setup) -> Self:
         """What a setup asks whose model is where the fit may start."""
+        if setup.settings.optimiser is not None:
+            raise InputError(
+                "workers fit by giajax's own optimiser alone: leave out the executor, or the "
+                "optimiser"
+            )
         return cls(setup.model, setup.runs, setup.own, setup.config, setup.suited)
 
     @functools.cached_property

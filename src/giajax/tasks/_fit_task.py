@@ -66,7 +66,10 @@ def merged(below: FitSettings, above: FitSettings, origin: str) -> FitSettings:
     together = {**below.contents(), **by_path, **others}
     if together.get("budget", "") is None:
         del together["budget"]
-    return Definition.parse({"fit": together}, origin).fit
+    merged = Definition.parse({"fit": together}, origin).fit
+    # No file states an optimiser, and so it is not among the contents.
+    optimiser = above.optimiser or below.optimiser
+    return merged.model_copy(update={"optimiser": optimiser}) if optimiser else merged
 
 
 def plain_of(task: "FitTask") -> dict[str, Any]:

@@ -90,6 +90,11 @@ class Preparation:
             InputError: another fit is writing there, the journal cannot be read or is of another
                 fit, or (without `resume` and `force`) is that of a fit that was cut off.
         """
+        if self.setup.settings.optimiser is not None:
+            raise InputError(
+                f"a fit by {self.setup.config['optimiser']} has no steps to keep, and is not "
+                "resumed: leave out the journal, or the optimiser"
+            )
         with locked(folder):
             journal = read_journal(folder) if resume or not force else None
             if resume:

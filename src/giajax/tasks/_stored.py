@@ -30,6 +30,11 @@ _WORDS = {"definition": "the model's constants", "runs": "what the sidecars stat
 def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
     """As `stored_result`, of a fit that says how it was fitted, and did not end early."""
     folder, record = stored_result(path)
+    if optimiser := record["config"].get("optimiser"):
+        raise InputError(
+            f"{folder / 'result.json'} was fitted by {optimiser}, which no file states: fit it "
+            "again from Python"
+        )
     if not record.get("task"):
         raise InputError(
             f"{folder / 'result.json'} does not say how to fit it again, because an earlier "
