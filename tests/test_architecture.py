@@ -151,7 +151,8 @@ def test_a_parameter_is_its_declaration_and_what_computes_with_it(tree, giajax):
     text = section("To add a parameter")
     new, edited = done_to(tree, text)
     assert new == []
-    assert edited == ["src/giajax/schema/_quantities_arm.py", "src/giajax/mechanics/arm/_parts.py"]
+    laws = [f"src/giajax/mechanics/arm/{name}.py" for name in ("_parts", "_joint_laws")]
+    assert edited == ["src/giajax/schema/_quantities_arm.py", *laws]
     check_style(tree, edited)
     (arm,) = [block for language, block in blocks(text) if language == "toml"]
     (tree / "arm.toml").write_text(arm, encoding="utf-8")

@@ -39,14 +39,13 @@ def to_and_fro(links=LINKS):
 @eqx.filter_jit
 def by_fixed_steps(arm, command, count):
     """Angles (rad) at the end of equal steps of the classical method, and at their halves."""
-    step = END / count
+    step, laws = END / count, arm.joints.further_laws
 
     def slope(time, state):
         angles, rates, memory = state[0], state[1], state[2:]
         moved = acceleration(arm, angles, rates, command(time), memory=memory)
-        return jnp.concatenate(
-            [rates[None], moved[None], arm.joints.hysteresis.rate(rates, memory)]
-        )
+        at = laws.at(angles, rates, command(time), memory)
+        return jnp.concatenate([rates[None], moved[None], laws.rate(at)])
 
     def one(state, index):
         time = index.astype(float) * step
@@ -55,11 +54,11 @@ def by_fixed_steps(arm, command, count):
         third = slope(time + step / 2, state + step / 2 * second)
         fourth = slope(time + step, state + step * third)
         state = state + step / 6 * (first + 2 * second + 2 * third + fourth)
-        memory = arm.joints.hysteresis.return_mapped(state[0], state[2:])
+        memory = laws.return_mapped(state[0], state[2:])
         return jnp.concatenate([state[:2], memory]), state[0]
 
     rest = jnp.zeros(arm.count)
-    start = jnp.concatenate([jnp.zeros((2, arm.count)), arm.joints.hysteresis.unstrained(rest)])
+    start = jnp.concatenate([jnp.zeros((2, arm.count)), laws.unstrained(rest)])
     return jax.lax.scan(one, start, jnp.arange(count))[1]
 
 
@@ -92,8 +91,9 @@ def test_joints_do_not_come_back():
     free = simulate(arm_with({"joints.damping": 1.5}), to_and_fro(), times)
     assert abs(at_rest[0]) > 10 * abs(free.angles[-1, 0])
     assert_allclose(motion.memory.shape, (25, 1, LINKS))
-    torque = jax.vmap(arm.joints.hysteresis.torque)(motion.angles, motion.memory)
-    assert_allclose(np.abs(torque[-1]), held, atol=5e-3)
+    laws, still = arm.joints.further_laws, jnp.zeros(LINKS)
+    torque = laws.torque(laws.at(motion.angles[-1], still, still, motion.memory[-1]))
+    assert_allclose(np.abs(torque), held, atol=5e-3)
 
 
 def test_an_arm_without_memory_has_no_states():

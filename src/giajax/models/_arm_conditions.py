@@ -112,10 +112,10 @@ def scale_conditions(
     area = [path for path in _DRAG_AREA if path not in fitted]
     if "air.drag_coefficient" in fitted and area:
         sentences.append(f"air.drag_coefficient: holds for {_values(model, area)}")
-    if own := sorted(path for path in fitted if path.startswith("air.law.")):
+    if own := sorted(path for path in fitted if path.startswith(("air.law.", "joints.laws."))):
         sentences.append(
-            f"{', '.join(own)}: not checked, because a law of drag does not say how its force "
-            "depends on them; masses, inertias and all forces together scale as everywhere"
+            f"{', '.join(own)}: not checked, because a law does not say how its force depends "
+            "on them; masses, inertias and all forces together scale as everywhere"
         )
     if "point_masses.drag_area" in fitted and "air.density" not in fitted:
         density = _values(model, ["air.density"])

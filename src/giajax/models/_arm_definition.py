@@ -11,6 +11,7 @@ import numpy as np
 from ..mechanics.arm import (
     MUSCLE_BLEND,
     AbstractDragLaw,
+    AbstractJointLaw,
     Arm,
     Contact,
     Pneumatics,
@@ -129,7 +130,8 @@ def sensors_to_definition(sensors: Sensors) -> dict[str, dict[str, Any]]:
 
 
 # Keys of [arm] that are arguments of `chain`.
-_CHOICES = ("joint_axes", "drag", "strip_points", "drag_curve", "added_mass", "buoyancy", "trim")
+_CHOICES = ("joint_axes", "drag", "strip_points", "drag_curve", "added_mass", "joint_laws",
+            "buoyancy", "trim")  # fmt: skip
 _ARGUMENTS = frozenset(signature(chain).parameters)
 
 
@@ -229,6 +231,8 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     }
     if arm.air.added_mass_coefficient is not None or arm.air.added_mass != "kirchhoff":
         facts["added_mass"] = arm.air.added_mass
+    if arm.joints.laws:
+        facts["joint_laws"] = list(map(_law_name, arm.joints.laws.values()))
     if arm.pneumatics is not None:
         facts |= _muscle_keys(arm.pneumatics, arm)
     if arm.contact is not None:
@@ -253,19 +257,19 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     return facts
 
 
-def _law_name(law: AbstractDragLaw) -> str:
+def _law_name(law: AbstractDragLaw | AbstractJointLaw) -> str:
     """What files call a law that is registered, and is made from nothing but its parameters."""
-    name = name_of(type(law))
-    if registered(law.registered_as, name) is not type(law):
+    name, role = name_of(type(law)), law.registered_as
+    if registered(role, name) is not type(law):
         raise InputError(
-            f"the law of drag {name} is not registered, and a result could not name it: call "
+            f"the {role} law {name} is not registered, and a result could not name it: call "
             "giajax.register of its class"
         )
     for field in dataclasses.fields(law):
         value = getattr(law, field.name)
         if DECLARED not in field.metadata and value != field.default:
             raise InputError(
-                f"the law of drag {name} has {field.name} = {value!r}, which no file can state: "
+                f"the {role} law {name} has {field.name} = {value!r}, which no file can state: "
                 "give it as the default of another class"
             )
     return name

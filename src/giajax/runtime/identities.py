@@ -48,7 +48,7 @@ CLASSES: dict[str, tuple[str, str | None]] = {
         "mechanics.arm._parts",
         "obstacles pressure shape_factor damping friction friction_stiffness points",
     ),
-    "arm/_hysteresis:JointHysteresis": ("mechanics.arm._hysteresis", "memory stops"),
+    "arm/_hysteresis:JointHysteresis": ("mechanics.arm._joint_laws", "memory stops"),
     "arm/_joints:Joints": (
         "mechanics.arm._parts",
         "axes pitch_stiffness yaw_stiffness damping friction friction_rate armature hysteresis",
@@ -62,13 +62,13 @@ CLASSES: dict[str, tuple[str, str | None]] = {
         "helium_density trim_mass trim_position trim_depth imbalance",
     ),
     "arm/_masses:PointMasses": ("mechanics.arm._parts", "links mass position left up drag_area"),
-    "arm/_memory:Memory": ("mechanics.arm._hysteresis", "strength yield_angle nu delta"),
+    "arm/_memory:Memory": ("mechanics.arm._joint_laws", "strength yield_angle nu delta"),
     "arm/_muscle_drive:MuscleDrive": (
         "mechanics.arm._pneumatics",
         "lag passive_stiffness stop_stiffness",
     ),
     "arm/_pneumatics:Pneumatics": ("mechanics.arm._pneumatics", "joints joint muscle drive"),
-    "arm/_stops:Stops": ("mechanics.arm._hysteresis", "strength yield_angle"),
+    "arm/_stops:Stops": ("mechanics.arm._joint_laws", "strength yield_angle"),
     "fitting/_integration:IntegrationFit": ("fitting._result", "solver tolerance chosen"),
     "fitting/_records:Estimate": (
         "fitting._records",

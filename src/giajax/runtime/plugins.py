@@ -33,7 +33,8 @@ def register(cls: Registered) -> Registered:
     """Make a class of yours known by its name, to files and to the command line.
 
     A model is called as its `kind`, everything else as its class. A package may have an entry point
-    of that name instead, of the group `giajax.models`, `giajax.drags` or `giajax.losses`.
+    of that name instead, of the group `giajax.models`, `giajax.drags`, `giajax.joints` or
+    `giajax.losses`.
 
     Raises:
         InputError: it is of no class that giajax knows, lacks a method, or has the name of another.
@@ -73,6 +74,18 @@ def registered(role: str, name: str) -> Any | None:
             except ImportError as error:
                 raise InputError(f"the {role} '{name}' cannot be imported: {error}") from error
     return found
+
+
+def law_named(role: str, name: str) -> Any | None:
+    """What the registered class of a role and a name is by default; None where there is none."""
+    if (found := registered(role, name)) is None:
+        return None
+    try:
+        return found()
+    except Exception as error:
+        raise InputError(
+            f"the {role} law {name} is not made from its defaults ({error}): give each field one"
+        ) from None
 
 
 def load_plugin(path: Path, digest: str = "") -> None:
@@ -158,6 +171,8 @@ def sources_of(tree: Any) -> dict[str, str]:
             parts += vars(part).values()
         elif isinstance(part, tuple | list):
             parts += part
+        elif isinstance(part, Mapping):
+            parts += part.values()
     return dict(filter(None, map(source, modules)))
 
 

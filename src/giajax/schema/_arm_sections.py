@@ -337,6 +337,15 @@ def _known_drag(word: str) -> str:
     return word
 
 
+def _known_joint_law(word: str) -> str:
+    if word not in ("hardening", "end_stops") and registered("joint", word) is None:
+        raise ValueError(
+            f'= {word!r} must be "hardening", "end_stops" or a registered law: correct it, or '
+            "give --plugin FILE.py"
+        )
+    return word
+
+
 class ArmSection(_Surroundings):
     """`[arm]`: the known constants of the arm. A number holds for all links."""
 
@@ -358,6 +367,11 @@ class ArmSection(_Surroundings):
         "added mass with the products of velocities that belong to it, or without, as in engines "
         "that add it to the mass matrix alone",
         preset="kirchhoff",
+    )
+    joint_laws: list[Annotated[str, AfterValidator(_known_joint_law)]] | None = key(
+        'a list of "hardening", "end_stops"',
+        "laws of the joints beside springs, dampers and hysteresis",
+        example=["hardening"],
     )
     buoyancy: bool | None = key(
         "true or false", "displaced air, helium and trim weights count", preset=False

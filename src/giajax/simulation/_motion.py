@@ -9,7 +9,10 @@ import jax.numpy as jnp
 
 from ..mechanics.arm import (
     Arm,
+    JointLaws,
+    JointState,
     Pneumatics,
+    Spring,
     Stiffness,
     bodies,
     contact_stiffness,
@@ -53,8 +56,15 @@ def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = Tr
     hanging = reach @ weights
     if not springs:
         return largest(hanging)
-    oscillation = largest(arm.stiffest_spring + hanging)
-    rate = jnp.hypot(oscillation, largest(arm.joints.stiffest_damping) ** 2)
+    laws = arm.joint_laws
+    at = laws.at(angles, jnp.zeros_like(angles), angles)
+    stiffest, (_, damping) = laws.stiffest(at), laws.slopes(at)
+    if arm.pneumatics is not None:
+        stiffest = stiffest + arm.pneumatics.stiffest(arm.count)
+    # What runs away does so as fast as it would swing.
+    rate = jnp.hypot(largest(jnp.abs(stiffest) + hanging), largest(jnp.abs(damping)) ** 2)
+    if laws.rows:
+        rate = jnp.hypot(rate, jnp.max(laws.state_slopes(at)[2]))
     if arm.pneumatics is None or arm.pneumatics.drive.lag is None:
         return rate
     return jnp.hypot(rate, 1 / arm.pneumatics.drive.lag)
@@ -82,7 +92,7 @@ class Inputs(eqx.Module):
 
     def parts(self, state: "State") -> "Parts":
         """What the rows of a state are."""
-        memory = 2 + self.arm.joints.hysteresis.rows
+        memory = 2 + self.arm.joints.further_laws.rows
         muscles = memory + (0 if self.arm.pneumatics is None else self.arm.pneumatics.rows)
         return Parts(state[0], state[1], state[2:memory], state[memory:muscles], state[muscles:])
 
@@ -103,7 +113,7 @@ class Inputs(eqx.Module):
 
     def start(self, state: Float[Array, "2 joint"], time: Scalar) -> "State":
         """The state at the beginning: nothing is strained, and pressures have settled."""
-        rows = [state, self.arm.joints.hysteresis.unstrained(state[0])]
+        rows = [state, self.arm.joints.further_laws.unstrained(state[0])]
         if self.arm.pneumatics is not None:
             pressures = self.supplied(time)
             assert pressures is not None
@@ -114,7 +124,7 @@ class Inputs(eqx.Module):
 
 
 State = Float[Array, "row joint"]
-"""Angles (rad) and rates (rad/s); where joints remember, the states of their hysteresis; where
+"""Angles (rad) and rates (rad/s); where joints remember, the states of their laws; where
 pressures lag, those of the muscles; where contacts have friction, the stretch of the skin."""
 
 
@@ -133,7 +143,7 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
     # A jump at the very end is no part of the motion, and would be bisected for nothing.
     time = jnp.minimum(time, inputs.end)
     angles, rates, memory, muscles, skin = inputs.parts(state)
-    arm, wind = inputs.arm, inputs.wind
+    arm, wind, laws = inputs.arm, inputs.wind, inputs.arm.joints.further_laws
     command = inputs.command(time)
     air = None if wind is None else along_links(arm, wind(time))
     gust = None if wind is None else along_links(arm, wind.rate(time))
@@ -145,7 +155,7 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
     if met is not None:
         torque = torque + met.torque
     moved = forward_dynamics(arm, angles, rates, torque, air, gust)
-    rows = [rates[None], moved[None], arm.joints.hysteresis.rate(rates, memory)]
+    rows = [rates[None], moved[None], laws.rate(laws.at(angles, rates, command, memory))]
     if arm.pneumatics is not None and arm.pneumatics.rows:
         supplied = inputs.supplied(time)
         assert supplied is not None
@@ -167,7 +177,7 @@ class Springs(NamedTuple):
         mass: mass matrix, kg m^2.
         stiffness: N m/rad.
         damping: N m s/rad.
-        memory: of hysteresis of the joints and pressures that lag, or None.
+        memory: of states of the joints' laws and pressures that lag, or None.
         contact: how torques of contact change with the angles and rates of all joints, or None.
     """
 
@@ -179,7 +189,7 @@ class Springs(NamedTuple):
 
 
 class Strain(NamedTuple):
-    """How torques and further states depend on each other: hysteresis, and pressures that lag.
+    """How torques and further states depend on each other: of laws, and pressures that lag.
 
     Attributes:
         torque: of a unit of each state, against the motion, N m.
@@ -198,31 +208,17 @@ def springs(time: Any, state: State, inputs: Inputs) -> Springs:
     time = jnp.minimum(time, inputs.end)
     command = inputs.command(time)
     pressures = inputs.inside(time, muscles)
-    arm, hysteresis, pneumatics = inputs.arm, inputs.arm.joints.hysteresis, inputs.arm.pneumatics
-
-    # The torque of a joint depends on its own angle and rate only, so that one derivative along
-    # all angles at once is the diagonal, whatever the law of the spring or the damper.
-    def slope(of: Any, at: Array) -> Array:
-        return -jax.jvp(of, (at,), (jnp.ones_like(at),))[1]
-
-    def torque(angles: Array, rates: Array) -> Array:
-        return joint_torque(arm, angles, rates, command, pressures=pressures)
-
-    stiffness = slope(lambda x: torque(x, rates), angles)
-    damping = slope(lambda x: torque(angles, x), rates)
-    if pneumatics is not None:
-        # A pair that runs away is explicit: its matrix need not be positive definite.
-        stiffness = jnp.maximum(stiffness, 0)
-    strains = []
-    if hysteresis.rows:
-        stiffness = stiffness + hysteresis.tangent(angles, rates, memory)
-        strains.append(
-            Strain(
-                torque=hysteresis.pull(memory),
-                filling=-slope(lambda x: hysteresis.rate(x, memory), rates),
-                forgetting=slope(lambda x: hysteresis.rate(rates, x), memory),
-            )
-        )
+    arm, laws, pneumatics = inputs.arm, inputs.arm.joint_laws, inputs.arm.pneumatics
+    at = laws.at(angles, rates, command, memory)
+    stiffness, damping = laws.slopes(at)
+    # What runs away is explicit: the matrix of a pair, or of a law, need not be positive definite.
+    if arm.joints.laws:
+        stiffness, damping = jnp.maximum(stiffness, 0), jnp.maximum(damping, 0)
+    if pneumatics is not None and pressures is not None:
+        along = jnp.ones_like(angles)
+        pair = jax.jvp(lambda x: pneumatics.torque(x, pressures), (angles,), (along,))[1]
+        stiffness = stiffness + jnp.maximum(-pair, 0)
+    strains = [Strain(*laws.state_slopes(at))] if laws.rows else []
     if pneumatics is not None and pneumatics.rows:
         strains.append(_lagging(pneumatics, angles, muscles))
     strain = jax.tree.map(lambda *rows: jnp.concatenate(rows), *strains) if strains else None
@@ -254,7 +250,13 @@ def pull(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"]:
     # The state and the arm are those of the matrices that this goes with, and constants as they
     # are: a derivative by a stiffness has spring and command in one small term, the deflection.
     arm, state = jax.lax.stop_gradient((inputs.arm, state))
-    angles, rates, _, muscles, _ = inputs.parts(state)
-    pressures = dataclasses.replace(inputs, arm=arm).inside(time, muscles)
-    torque = joint_torque(arm, angles, rates, inputs.command(time), pressures=pressures)
+    angles, rates, memory, muscles, _ = inputs.parts(state)
+    # Of the laws those that a command may move: the springs, and those of one's own.
+    laws = JointLaws((Spring(arm.spring_stiffness), *arm.joints.laws.values()))
+    own = memory[len(memory) - laws.rows :]
+    torque = laws.torque(JointState(angles, rates, inputs.command(time), own))
+    if arm.pneumatics is not None:
+        pressures = dataclasses.replace(inputs, arm=arm).inside(time, muscles)
+        assert pressures is not None
+        torque = torque + arm.pneumatics.torque(angles, pressures)
     return torque if inputs.torque is None else torque + inputs.torque(time)

@@ -119,12 +119,12 @@ class _ReturnMapping(diffrax.AbstractAdaptiveSolver):
         y1, y_error, dense, inner, result = self.solver.step(
             terms, t0, t1, y0, args, inner, made_jump | turned
         )
-        hysteresis = args.arm.joints.hysteresis
-        last = 2 + hysteresis.rows
+        laws = args.arm.joints.further_laws
+        last = 2 + laws.rows
         held = y1[2:last]
-        direct = hysteresis.return_mapped(y1[0], held)
+        direct = laws.return_mapped(y1[0], held)
         extreme = _extreme(t1 - t0, y0, y1)
-        memory = hysteresis.return_mapped(y1[0], hysteresis.return_mapped(extreme, held))
+        memory = laws.return_mapped(y1[0], laws.return_mapped(extreme, held))
         unknown = jax.lax.stop_gradient(memory - direct)
         y1 = jnp.concatenate([y1[:2], memory, y1[last:]])
         y1 = _slid(args, y1)

@@ -38,7 +38,9 @@ StepsFor = Literal["motion", "derivatives"]
 """What the steps of a simulation are short enough for."""
 
 # Of an arm, beside the inputs and the initial state of every simulation.
-_PARAMETERS = ("base_rotation", "gravity", "air.wind", "buoyancy", "point_masses", "pneumatics")
+# What parameters of a law of one's own move is not known.
+_PARAMETERS = ("base_rotation", "gravity", "air.wind", "buoyancy", "point_masses", "pneumatics",
+               "joints.laws")  # fmt: skip
 
 # Of the muscles, whose parameters have no common name: where pressures hold a joint, each of them
 # moves it.
@@ -190,14 +192,14 @@ def integrate(
     if derivatives == "forward":
         rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
     method = solver_named(solver, reverse=derivatives == "reverse")
-    hysteresis = arm.joints.hysteresis
+    laws = arm.joints.further_laws
     fastest = None
     if steps_for == "derivatives":
         rate = fastest_rate(arm, state[0])
         implicit = isinstance(method, LinearlyImplicit)
         fastest = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
     moved = Inputs(arm, command, wind, torque, eqxi.prevbefore(end), pressure)
-    slides = hysteresis.stops.rows > 0 or (arm.contact is not None and arm.contact.rows > 0)
+    slides = laws.slides or (arm.contact is not None and arm.contact.rows > 0)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(motion),
         with_return_mapping(method, rtol, atol, derivatives) if slides else method,
@@ -208,7 +210,7 @@ def integrate(
         args=moved,
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=step_size_controller(
-            method, rtol, atol, corners, bends, fastest, turns=hysteresis.rows > 0
+            method, rtol, atol, corners, bends, fastest, turns=laws.rows > 0
         ),
         adjoint=adjoint(derivatives),
         max_steps=max_steps,
@@ -223,7 +225,7 @@ def integrate(
         angles=angles,
         rates=rates,
         # Within a step sliding elements have not caught up yet.
-        memory=jax.vmap(hysteresis.return_mapped)(angles, memory) if hysteresis.rows else None,
+        memory=jax.vmap(laws.return_mapped)(angles, memory) if laws.rows else None,
         pressures=None if arm.pneumatics is None else jax.vmap(moved.inside)(times, muscles),
         skin=skin if skin.size else None,
         arm=arm,

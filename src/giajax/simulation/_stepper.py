@@ -161,9 +161,7 @@ def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | Non
         interval,
     )
     method = solver_named(stepper.solver, reverse=stepper.tolerance is None)
-    slides = arm.joints.hysteresis.stops.rows > 0 or (
-        arm.contact is not None and arm.contact.rows > 0
-    )
+    slides = arm.joints.further_laws.slides or (arm.contact is not None and arm.contact.rows > 0)
     if slides:
         method = with_return_mapping(method, _TOLERANCE, _TOLERANCE, "forward")
     terms = diffrax.ODETerm(motion)

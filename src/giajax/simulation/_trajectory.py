@@ -42,8 +42,7 @@ class Trajectory(eqx.Module):
         times: s, shape (sample,).
         angles: joint angles, rad, shape (sample, joint).
         rates: joint rates, rad/s, shape (sample, joint).
-        memory: states of the joints' hysteresis (`giajax.mechanics.arm.JointHysteresis`),
-            shape (sample, row, joint), or None.
+        memory: states of the joints' laws (`Arm.joint_laws`), shape (sample, row, joint), or None.
         pressures: in the first and the second muscle of each joint, Pa, shape (sample, 2, joint);
             None where no joint has muscles.
         skin: stretch of the skin of each link along what it touches, m, shape (sample, 3, link);

@@ -55,7 +55,7 @@ def test_no_public_function_is_left_out():
     of_contact = {"contact_energy", "contact_stiffness", "touch", "touched"}  # in test_contact
     # Parts of those that are tested, which rooms above and tests of identities use.
     parts = {"carried_inertia", "eliminate_and_solve", "motion_and_momentum", "solve_eliminated"}
-    parts |= {"flattening", "sum_from_tip", "check_drag_law"}
+    parts |= {"flattening", "sum_from_tip", "check_drag_law", "check_joint_law"}
     others = builders | without_state | of_memory | of_muscles | of_contact | parts
     assert functions - others == set(FUNCTIONS)
 

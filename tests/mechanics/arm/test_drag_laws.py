@@ -92,7 +92,7 @@ def test_an_arm_with_a_law_goes_through_its_definition():
     class Local(Square):
         """Nobody has registered it."""
 
-    with pytest.raises(InputError, match="the law of drag Local is not registered"):
+    with pytest.raises(InputError, match="the drag law Local is not registered"):
         giajax.ArmModel(chain(2, drag=Local())).definition()
 
 

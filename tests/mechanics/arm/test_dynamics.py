@@ -307,7 +307,9 @@ def test_a_change_of_numbers_compiles_nothing_again():
 def test_the_bound_on_damping_follows_from_the_law():
     """By hand: friction is steepest at rest, 0.3 / 0.1 N m s/rad, beside the damping."""
     values = {"joints.damping": [1.0, 2.0], "joints.friction": 0.3, "joints.friction_rate": 0.1}
-    joints = replace(switched_on(takeichi_20m(2), list(values)), values).joints
-    assert_allclose(joints.stiffest_damping, [4.0, 5.0], rtol=1e-14)
-    small = jnp.full(2, 1e-7)
-    assert_allclose(joints.resistance(small) / small, joints.stiffest_damping, rtol=1e-9)
+    laws = replace(switched_on(takeichi_20m(2), list(values)), values).joint_laws
+    still, small = jnp.zeros(2), jnp.full(2, 1e-7)
+    steepest = laws.slopes(laws.at(still, still, still))[1]
+    assert_allclose(steepest, [4.0, 5.0], rtol=1e-14)
+    torque = laws.torque(laws.at(still, small, still))
+    assert_allclose(-torque / small, steepest, rtol=1e-9)

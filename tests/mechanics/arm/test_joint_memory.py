@@ -11,6 +11,8 @@ from giajax import InputError
 from giajax.cli._values import with_settings
 from giajax.mechanics.arm import (
     JointHysteresis,
+    JointLaws,
+    JointState,
     Memory,
     Stops,
     acceleration,
@@ -27,13 +29,18 @@ from giajax.recordings import Definition
 from giajax.schema.parameters import replace
 
 
+def moment(angles, rates=None, states=None):
+    still = jnp.zeros_like(angles)
+    return JointState(angles, still if rates is None else rates, still, states)
+
+
 def along(element, angles):
     """States and torques of one joint with sliding elements after each of many angles (rad)."""
     states = element.unstrained(jnp.asarray(angles[:1]))
 
     def move(states, angle):
         states = element.return_mapped(angle[None], states)
-        return states, (states, element.torque(angle[None], states)[0])
+        return states, (states, -element.torque(moment(angle[None], states=states))[0])
 
     return jax.lax.scan(move, states, jnp.asarray(angles))[1]
 
@@ -68,12 +75,12 @@ def test_stops_in_parallel_are_the_operators_of_hysteresis():
 @pytest.mark.parametrize("start", [0.0, -0.4, 0.9])
 def test_dahls_strain_in_one_direction_is_an_exponential(start):
     element = Memory(strength=0.2, yield_angle=0.03)
-    count, way = 20_000, 0.08
+    count, way, one = 20_000, 0.08, jnp.ones(1)
     step = way / count
 
     def middle(_, z):
-        half = z + step / 2 * element.rate(jnp.ones(1), z)
-        return z + step * element.rate(jnp.ones(1), half)
+        half = z + step / 2 * element.rate(moment(one, one, z))
+        return z + step * element.rate(moment(one, one, half))
 
     z = jax.lax.fori_loop(0, count, middle, jnp.full((1, 1), start))
     assert_allclose(z, 1 - (1 - start) * np.exp(-way / 0.03), rtol=0, atol=1e-8)
@@ -84,12 +91,14 @@ def test_what_bouc_wen_takes_is_stored_or_lost_and_never_given(nu, delta):
     element = Memory(strength=0.2, yield_angle=0.03, nu=nu, delta=delta)
     random = np.random.default_rng(0)
     z, rates = jnp.asarray(random.uniform(-1, 1, (1, 50))), jnp.asarray(random.normal(size=50))
-    stored = jax.jvp(element.energy, (z,), (element.rate(rates, z),))[1]
-    lost = element.dissipation(rates, z)
-    assert_allclose(element.torque(z) * rates, stored + lost, rtol=1e-13, atol=1e-16)
+    at = moment(rates, rates, z)
+    # By hand: what is stored is S y z^2 / 2.
+    lost = 0.2 * z[0] * (rates - 0.03 * element.rate(at)[0])
+    assert_allclose(element.dissipation(at), lost, rtol=1e-13, atol=1e-16)
     assert np.all(lost >= -1e-16)
     # It depends on the way, not on the time that it takes.
-    assert_allclose(element.rate(3.0 * rates, z), 3.0 * element.rate(rates, z), rtol=1e-13)
+    quicker = at._replace(rates=3.0 * rates)
+    assert_allclose(element.rate(quicker), 3.0 * element.rate(at), rtol=1e-13)
 
 
 def test_what_stops_take_is_stored_or_lost_along_any_way():
@@ -97,10 +106,11 @@ def test_what_stops_take_is_stored_or_lost_along_any_way():
     angles = np.interp(np.linspace(0, 9, 4001), range(10), np.random.default_rng(1).normal(size=10))
     states, torques = along(element, angles)
     rows = jnp.asarray(angles)[:, None]
-    energy = jax.vmap(element.energy)(rows, states)[:, 0]
+    energy = jax.vmap(lambda q, z: element.energy(moment(q, states=z)))(rows, states)[:, 0]
     moves = np.diff(angles)
     work = np.sum(moves * (torques[1:] + torques[:-1]) / 2)
-    lost = jax.vmap(element.dissipation)(rows[1:], jnp.asarray(moves)[:, None], states[1:])[:, 0]
+    moments = jax.vmap(moment)(rows[1:], jnp.asarray(moves)[:, None], states[1:])
+    lost = jax.vmap(element.dissipation)(moments)[:, 0]
     assert np.all(lost >= 0)
     # A step in which an element begins to slide is counted as sliding as a whole.
     corners = 2 * 10 * 0.12 * np.max(np.abs(moves))
@@ -114,7 +124,8 @@ def test_the_energy_of_an_arm_has_what_its_joints_store():
     random = np.random.default_rng(2)
     angles, rates = (jnp.asarray(random.uniform(-0.3, 0.3, 3)) for _ in range(2))
     memory = jnp.asarray(random.uniform(-0.1, 0.1, (3, 3)))  # no stop slides
-    moved = (rates, arm.joints.hysteresis.rate(rates, memory))
+    laws = arm.joints.further_laws
+    moved = (rates, laws.rate(laws.at(angles, rates, angles, memory)))
 
     def energy(angles, memory):
         return potential_energy(arm, angles, jnp.zeros(3), memory=memory)
@@ -132,28 +143,33 @@ def test_a_derivative_is_finite_at_rest_and_at_a_reversal():
 
     def torque(strength, nu, rate):
         own = replace(JointHysteresis(**parts), {"memory.strength": strength, "memory.nu": nu})
-        states = own.unstrained(jnp.zeros(1))
-        return own.torque(jnp.zeros(1), states) + own.rate(rate, states)[0]
+        laws, still = JointLaws(own.laws), jnp.zeros(1)
+        at = laws.at(still, rate, still)
+        return laws.torque(at) + laws.rate(at)[0]
 
     for at in (0.0, 1e-300, -1.0):
         slopes = jax.jacfwd(torque, argnums=(0, 1, 2))(0.2, 1.5, jnp.full(1, at))
         assert all(np.all(np.isfinite(slope)) for slope in slopes)
 
 
+def rows(**parts):
+    return JointLaws(JointHysteresis(**parts).laws).rows
+
+
 def test_joints_have_as_many_states_as_they_remember():
-    assert JointHysteresis().rows == 0
-    assert JointHysteresis(memory=Memory(strength=0.1)).rows == 1
-    assert JointHysteresis(memory=Memory(strength=0.1), stops=Stops(strength=[0.1, 0.2])).rows == 3
+    assert rows() == 0
+    assert rows(memory=Memory(strength=0.1)) == 1
+    assert rows(memory=Memory(strength=0.1), stops=Stops(strength=[0.1, 0.2])) == 3
 
 
 def test_stops_are_as_many_as_are_given():
     two = chain(2, parameters={"joints.stops.strength": [0.1, 0.1]})
     definition = Definition.parse({"arm": arm_to_definition(two)}, "test")
-    assert arm_from_definition(definition).joints.hysteresis.rows == 2
+    assert arm_from_definition(definition).joints.further_laws.rows == 2
     three = {"joints.stops.strength": [0.1, 0.2, 0.3], "joints.stops.yield_angle": [0.1, 0.2, 0.3]}
-    assert replace(two, three).joints.hysteresis.rows == 3
+    assert replace(two, three).joints.further_laws.rows == 3
     assert (
-        with_settings(two, {"joints.stops.strength": [0.1, 0.2, 0.3]}).joints.hysteresis.rows == 3
+        with_settings(two, {"joints.stops.strength": [0.1, 0.2, 0.3]}).joints.further_laws.rows == 3
     )
     with pytest.raises(InputError, match="give one of each"):
         replace(replace(two, three), {"joints.stops.strength": [0.1, 0.2]})
@@ -201,7 +217,8 @@ def test_without_velocity_products_added_mass_is_in_the_mass_matrix_alone():
 def test_yield_angles_without_strengths_are_no_stops():
     """They wait for a fit that switches the strengths on."""
     arm = chain(2, parameters={"joints.stops.yield_angle": [0.1, 0.2]})
-    hysteresis, still = arm.joints.hysteresis, jnp.zeros(2)
-    assert hysteresis.rows == 0
-    assert float(jnp.sum(hysteresis.stiffness)) == 0
-    assert_allclose(hysteresis.torque(still + 0.3, hysteresis.unstrained(still)), 0)
+    laws, still = arm.joint_laws, jnp.zeros(2)
+    assert laws.rows == 0
+    at = laws.at(still + 0.3, still, still + 0.3)
+    assert_allclose(laws.stiffest(at), [3.0, 30.0])
+    assert_allclose(laws.torque(at), 0)

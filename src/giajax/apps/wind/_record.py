@@ -124,7 +124,7 @@ def resting(
     if run.model != "arm" or run.times is None:
         raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of an arm")
     joints = model.arm.joints
-    if joints.hysteresis.rows or (joints.friction is not None and np.any(joints.friction)):
+    if joints.further_laws.rows or (joints.friction is not None and np.any(joints.friction)):
         raise InputError(
             "the arm has friction or joints with memory, which hold against small gusts and have "
             "no slope at rest: leave them out of [arm]"

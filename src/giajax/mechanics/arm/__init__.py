@@ -45,7 +45,6 @@ from ._dynamics import (
     muscle_power as muscle_power,
     potential_energy as potential_energy,
 )
-from ._hysteresis import JointHysteresis as JointHysteresis, Memory as Memory, Stops as Stops
 from ._inverse_dynamics import (
     carried_inertia as carried_inertia,
     eliminate_and_solve as eliminate_and_solve,
@@ -54,6 +53,20 @@ from ._inverse_dynamics import (
     motion_and_momentum as motion_and_momentum,
     solve_eliminated as solve_eliminated,
 )
+from ._joint_laws import (
+    AbstractJointLaw as AbstractJointLaw,
+    Damper as Damper,
+    EndStops as EndStops,
+    Friction as Friction,
+    Hardening as Hardening,
+    JointHysteresis as JointHysteresis,
+    JointLaws as JointLaws,
+    JointState as JointState,
+    Memory as Memory,
+    Spring as Spring,
+    Stops as Stops,
+)
+from ._joint_trial import check_joint_law as check_joint_law
 from ._kinematics import (
     Pose as Pose,
     link_centres as link_centres,

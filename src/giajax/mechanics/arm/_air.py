@@ -8,7 +8,7 @@ import numpy as np
 from ...runtime.arrays import Array, Float, cross, dot, safe_norm, scaled
 from ._arm import Arm, lift
 from ._drag import Stream
-from ._hysteresis import PerJoint
+from ._joint_laws import PerJoint
 from ._kinematics import Pose, Rows, angular_velocities, centre_velocities, pose
 
 Wind = Float[Array, "3"] | Float[Array, "link 3"]

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...runtime.arrays import Array, Float, Scalar
+from ...runtime.plugins import law_named, name_of
 from ...runtime.text import InputError
 from ...schema import AIR, BASE, BUOYANCY, LINKS, POINT_MASSES
 from ...schema.parameters import (
@@ -22,8 +23,10 @@ from ...schema.parameters import (
     switched_on,
 )
 from ..joint import JointPair
-from ._drag import AbstractDragLaw, check_drag_law, law_named
-from ._parts import Air, Buoyancy, Contact, Joints, Links, PointMasses, named_axes
+from ._drag import AbstractDragLaw, check_drag_law
+from ._joint_laws import AbstractJointLaw, JointLaws, Spring
+from ._joint_trial import check_joint_law
+from ._parts import DRAGS, Air, Buoyancy, Contact, Joints, Links, PointMasses, named_axes
 from ._pneumatics import Pneumatics, muscles_in, without_idle_springs
 
 # Frame: x along the straight arm away from the base, z up, y to the left; the origin is joint 1.
@@ -90,12 +93,10 @@ class Arm(eqx.Module):
         return jnp.where(driven, 0, self.joints.stiffness)
 
     @property
-    def stiffest_spring(self) -> Float[Array, " joint"]:
-        """Largest stiffness of each joint: of spring or muscles, and hysteresis, N m/rad."""
-        stiffest = self.spring_stiffness + self.joints.hysteresis.stiffness
-        if self.pneumatics is None:
-            return stiffest
-        return stiffest + self.pneumatics.stiffest(self.count)
+    def joint_laws(self) -> JointLaws:
+        """What acts in the joints, muscles apart: springs, dampers, hysteresis, and more laws."""
+        spring = Spring(self.spring_stiffness)
+        return JointLaws((spring, *self.joints.dampers, *self.joints.further_laws.laws))
 
 
 PerLink = Float[Array, " link"]
@@ -274,6 +275,7 @@ def chain(
     strip_points: int = 3,
     drag_curve: str = "constant",
     added_mass: str = "kirchhoff",
+    joint_laws: Sequence[str | AbstractJointLaw] = (),
     buoyancy: bool = False,
     trim: bool = False,
     point_masses: PointMasses | None = None,
@@ -295,6 +297,8 @@ def chain(
         air_density: kg/m^3.
         drag: a word of `Air`, a law of drag, or the name of a registered one (`giajax.register`).
         strip_points, drag_curve, added_mass: as of `Air`.
+        joint_laws: laws of the joints beside springs, dampers and hysteresis, or their names:
+            "hardening", "end_stops", or that of a registered one.
         buoyancy: whether displaced air, helium and trim weights count; without gravity only
             their masses do.
         trim: hang the trim weights that make each link float, and float level unless
@@ -346,14 +350,19 @@ def chain(
     axial = mass * (diameter / 2) ** 2
     air: dict[str, Any] = {"strip_points": strip_points, "drag_curve": drag_curve}
     air |= {"drag": drag, "added_mass": added_mass}
-    law = drag if isinstance(drag, AbstractDragLaw) else law_named(drag)
+    law = None
+    if isinstance(drag, AbstractDragLaw):
+        law = drag
+    elif drag not in DRAGS:
+        # Entry points are looked up in the metadata of all packages: not for each arm.
+        law = law_named(AbstractDragLaw.registered_as, drag)
     if law is not None:
         if (strip_points, drag_curve) != (3, "constant"):
             raise InputError("strip_points and drag_curve are of no law but giajax's: remove them")
         # The coefficient of eq. (1) is at its bound, so that no fit frees it.
         air |= {"drag": "centre", "law": law, "drag_coefficient": 0.0}
     air |= {} if air_density is None else {"density": air_density}
-    joints = Joints(axes=named_axes(joint_axes, links))
+    joints = Joints(axes=named_axes(joint_axes, links), laws=_laws_of(joint_laws))
     pneumatics = None if muscles is None else muscles_in(muscles, pair, joints)
     arm = Arm(
         links=Links(
@@ -389,9 +398,26 @@ def chain(
                 "air.drag_coefficient and air.axial_coefficient"
             )
         check_drag_law(arm.air.drag_law, links)
+    for each in arm.joints.laws.values():
+        # Those of giajax are tried in its tests.
+        if not type(each).__module__.startswith("giajax."):
+            check_joint_law(each, links)
     if pneumatics is not None:
         arm = dataclasses.replace(arm, joints=without_idle_springs(arm.joints, pneumatics))
     return trimmed(arm, level="buoyancy.trim_position" not in values) if trim else arm
+
+
+def _laws_of(laws: Sequence[str | AbstractJointLaw]) -> dict[str, AbstractJointLaw]:
+    """Laws of joints by name, in its order, as JAX has it."""
+    named: dict[str, AbstractJointLaw] = {}
+    for each in laws:
+        law: Any = each if isinstance(each, AbstractJointLaw) else law_named("joint", each)
+        if law is None:
+            raise InputError(f"there is no joint law {each!r}: register it, or correct the name")
+        if (name := name_of(type(law))) in named:
+            raise InputError(f"{name} is among joint_laws twice: derive a class for the other one")
+        named[name] = law
+    return dict(sorted(named.items()))
 
 
 # What of a link has no argument of its own.

@@ -11,8 +11,8 @@ import numpy as np
 from ...runtime.arrays import Array, Bool, Float, Int, Scalar, cross, dot, scaled
 from ..obstacles import Lines, Nearest, nearest, owners, patches, solids
 from ._arm import Arm
-from ._hysteresis import PerJoint
 from ._inverse_dynamics import load_torque
+from ._joint_laws import PerJoint
 from ._kinematics import Pose, Rows, angular_velocities, pose, sum_from_base, sum_from_tip
 from ._parts import Contact
 

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...runtime.arrays import Array, Float, Scalar, safe_norm, scaled
-from ...runtime.plugins import registered
 from ...runtime.text import InputError
 from ...schema.parameters import is_concrete
 
@@ -154,22 +153,6 @@ class StripDrag(AbstractDragLaw):
             return force
         skin = half * self.axial * jnp.abs(stream.along) * stream.along
         return force - scaled(skin, stream.axis)
-
-
-def law_named(name: object) -> AbstractDragLaw | None:
-    """The registered law of a name, as it is by default; None where there is none."""
-    # Entry points are looked up in the metadata of all packages: not for each arm that is built.
-    if not isinstance(name, str) or name in AbstractDragLaw.names_of_giajax:
-        return None
-    if (found := registered(AbstractDragLaw.registered_as, name)) is None:
-        return None
-    try:
-        law: AbstractDragLaw = found()
-    except Exception as error:
-        raise InputError(
-            f"the law of drag {name} is not made from its defaults ({error}): give each field one"
-        ) from None
-    return law
 
 
 _SPEEDS = (1e-3, 0.1, 1.0, 10.0)  # at which a law is tried, m/s; the last one has derivatives

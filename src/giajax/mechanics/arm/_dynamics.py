@@ -18,7 +18,6 @@ from ._air import (
 )
 from ._arm import Arm, bodies
 from ._contact import touch
-from ._hysteresis import PerJoint, States
 from ._inverse_dynamics import (
     Piece,
     carried_inertia,
@@ -30,6 +29,7 @@ from ._inverse_dynamics import (
     required_torque,
     solve_eliminated,
 )
+from ._joint_laws import JointLaws, JointState, PerJoint, States
 from ._kinematics import Pose, pose, sum_from_tip
 
 
@@ -70,7 +70,7 @@ def joint_torque(
     memory: States | None = None,
     pressures: Float[Array, "2 joint"] | None = None,
 ) -> PerJoint:
-    """Torque of the joints' springs or muscles, dampers, friction and hysteresis, N m.
+    """Torque of the joints' springs or muscles, dampers, friction, hysteresis and laws, N m.
 
     The spring of a joint pulls towards its commanded angle (paper, III.A: a spring whose
     initial length can change); damping c and Coulomb friction f act against the joint's rate
@@ -78,18 +78,17 @@ def joint_torque(
 
     Arguments:
         angles, rates, command: of the joints, rad, rad/s and rad.
-        memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
+        memory: states of the joints' laws (`Arm.joint_laws`); without strain by default.
         pressures: in the muscles of joints that have some (`Pneumatics`), Pa; by default those with
             which their controller holds the command.
     """
-    torque = arm.spring_stiffness * (command - angles) - arm.joints.resistance(rates)
+    laws = arm.joint_laws
+    torque = laws.torque(laws.at(angles, rates, command, memory))
     if arm.pneumatics is not None:
         if pressures is None:
             pressures = arm.pneumatics.commanded(command)
         torque = torque + arm.pneumatics.torque(angles, pressures)
-    if memory is None or not arm.joints.hysteresis.rows:
-        return torque
-    return torque - arm.joints.hysteresis.torque(angles, memory)
+    return torque
 
 
 def forward_dynamics(
@@ -168,14 +167,12 @@ def potential_energy(
     Arguments:
         angles, command: of the joints, rad.
         wind: steady, of the air in the base frame, m/s; still air by default.
-        memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
+        memory: as of `joint_torque`.
     """
-    here = pose(arm, angles)
-    springs = (arm.spring_stiffness * (angles - command) ** 2).sum() / 2
+    here, laws = pose(arm, angles), arm.joint_laws
+    springs = laws.energy(laws.at(angles, jnp.zeros_like(angles), command, memory)).sum()
     if arm.pneumatics is not None:
         springs = springs + arm.pneumatics.energy(angles).sum()
-    if memory is not None:
-        springs = springs + arm.joints.hysteresis.energy(angles, memory).sum()
     energy = springs + arm.gravity * (bodies(arm).mass * here.mass_centre[2]).sum()
     lifted = lift_force(arm)
     if lifted is not None:
@@ -202,12 +199,24 @@ def drag_power(arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None = 
 
 def damping_power(arm: Arm, rates: PerJoint) -> Scalar:
     """Power that the joints' damping and friction deliver at rates (rad/s), W; never positive."""
-    return -(arm.joints.resistance(rates) * rates).sum()
+    laws, still = JointLaws(arm.joints.dampers), jnp.zeros_like(rates)
+    return (laws.torque(laws.at(still, rates, still)) * rates).sum()
 
 
-def hysteresis_power(arm: Arm, angles: PerJoint, rates: PerJoint, memory: States) -> Scalar:
-    """Power that the joints' hysteresis takes from the motion for good, W; never positive."""
-    return -arm.joints.hysteresis.dissipation(angles, rates, memory).sum()
+def hysteresis_power(
+    arm: Arm,
+    angles: PerJoint,
+    rates: PerJoint,
+    memory: States,
+    command: PerJoint | None = None,
+) -> Scalar:
+    """Power that the joints' hysteresis takes from the motion for good, W; never positive.
+
+    With that of laws of one's own, to which the command may matter: 0 by default.
+    """
+    command = jnp.zeros_like(angles) if command is None else command
+    lost = arm.joints.further_laws.dissipation(JointState(angles, rates, command, memory))
+    return -lost.sum()
 
 
 def muscle_power(

@@ -20,7 +20,7 @@ from ...runtime.arrays import (
 )
 from ._air import Flow, Wind, added_mass, added_mass_load, drag, flow, lift_force, relative_velocity
 from ._arm import Arm, Bodies, bodies
-from ._hysteresis import PerJoint
+from ._joint_laws import PerJoint
 from ._kinematics import (
     Pose,
     Rows,

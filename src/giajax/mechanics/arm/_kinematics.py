@@ -23,7 +23,7 @@ from ...runtime.arrays import (
     scaled,
 )
 from ._arm import Arm, Bodies, bodies
-from ._hysteresis import PerJoint
+from ._joint_laws import PerJoint
 from ._parts import Axis
 
 Rows = Float[Array, "3 link"]

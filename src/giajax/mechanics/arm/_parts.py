@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -13,7 +12,7 @@ from ...schema import AIR, BUOYANCY, CONTACT, JOINTS, LINKS, POINT_MASSES
 from ...schema.parameters import inline, is_concrete, parameter
 from ..obstacles import AbstractObstacle
 from ._drag import AbstractDragLaw, CentreDrag, StripDrag
-from ._hysteresis import JointHysteresis, PerJoint
+from ._joint_laws import AbstractJointLaw, Damper, Friction, JointHysteresis, JointLaws, PerJoint
 
 Axis = tuple[float, float, float]
 
@@ -164,6 +163,7 @@ class Links(eqx.Module):
 class Joints(eqx.Module):
     """The joints: fixed axes, and a spring towards the commanded angle beside a damper.
 
+    `laws` are further ones by name, whose parameters are `joints.laws.NAME.` and so on; they add.
     A joint whose axis is nearer to vertical than to horizontal (in its own straight pose) is a
     yaw joint and takes the yaw stiffness; every other one takes the pitch stiffness.
     """
@@ -176,6 +176,7 @@ class Joints(eqx.Module):
     friction_rate: Scalar = parameter(JOINTS.friction_rate)
     armature: Float[Array, ""] | PerJoint | None = parameter(JOINTS.armature)
     hysteresis: JointHysteresis = inline(default_factory=JointHysteresis)
+    laws: dict[str, AbstractJointLaw] = eqx.field(default_factory=dict)
 
     def __check_init__(self) -> None:
         norms = np.linalg.norm(np.asarray(self.axes, dtype=float), axis=-1)
@@ -192,19 +193,18 @@ class Joints(eqx.Module):
         """Stiffness of each joint, N m/rad."""
         return jnp.where(self.is_yaw, self.yaw_stiffness, self.pitch_stiffness)
 
-    def resistance(self, rates: PerJoint) -> PerJoint:
-        """Torque against the motion of each joint, damping and friction, N m."""
-        torque = self.damping * rates
+    @property
+    def dampers(self) -> tuple[AbstractJointLaw, ...]:
+        """Damping and friction, as laws."""
+        damper = Damper(self.damping)
         if self.friction is None:
-            return torque
-        return torque + self.friction * jnp.tanh(rates / self.friction_rate)
+            return (damper,)
+        return damper, Friction(self.friction, self.friction_rate)
 
     @property
-    def stiffest_damping(self) -> PerJoint:
-        """Slope of `resistance` of each joint at rest, where its laws are steepest, N m s/rad."""
-        still = jnp.zeros(len(self.axes), self.damping.dtype)
-        _, slope = jax.vjp(self.resistance, still)
-        return slope(jnp.ones_like(still))[0]
+    def further_laws(self) -> JointLaws:
+        """What acts beside springs and dampers, and has all states: hysteresis, and `laws`."""
+        return JointLaws((*self.hysteresis.laws, *self.laws.values()))
 
 
 PerLink = Float[Array, ""] | Float[Array, " link"]

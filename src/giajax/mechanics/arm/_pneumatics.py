@@ -31,7 +31,7 @@ from ..joint import (
     resistance,
     resistance_energy,
 )
-from ._hysteresis import PerJoint
+from ._joint_laws import PerJoint
 from ._parts import Joints
 
 # Angles at which the steepest slope is looked for.

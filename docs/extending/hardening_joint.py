@@ -1,0 +1,60 @@
+"""A joint that hardens beyond an angle: a law of one's own, fitted and asked for."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import giajax
+from giajax.mechanics.arm import AbstractJointLaw
+from giajax.schema.parameters import parameter
+from giajax.testing import check_joint_law
+
+
+@giajax.register
+class HardeningJoint(AbstractJointLaw):
+    """A fabric that is slack up to an angle, and pulls back by the square of what is beyond."""
+
+    strength: jax.Array = parameter(
+        1.0, unit="N m/rad^2", lower=0, frozen=False, doc="pull of the taut fabric"
+    )
+    loss: jax.Array = parameter(0.2, unit="s", lower=0, upper=10, doc="of the pull, by the rate")
+    slack: jax.Array = parameter(0.1, unit="rad", lower=0, upper=1, doc="angle where it is taut")
+
+    def beyond(self, at):
+        return jnp.maximum(jnp.abs(at.angles) - self.slack, 0)
+
+    def torque(self, at):
+        pull = self.strength * self.beyond(at) ** 2
+        return -pull * (jnp.sign(at.angles) + self.loss * at.rates)
+
+    def energy(self, at):
+        return self.strength * self.beyond(at) ** 3 / 3
+
+
+def main():
+    jax.config.update("jax_enable_x64", True)
+    check_joint_law(HardeningJoint())
+    arm = giajax.chain(2, joint_laws=["HardeningJoint"])
+    true = {"joints.laws.HardeningJoint.strength": 6.0, "joints.laws.HardeningJoint.loss": 0.8}
+    truth = giajax.ArmModel(giajax.replace(arm, true))
+    times = np.linspace(0.0, 6.0, 121)
+    inputs = {f"joint{joint:02d}_command": np.sin(times * joint) for joint in (1, 2)}
+    outputs = [f"link{link:02d}_{axis}" for link in (1, 2) for axis in "xyz"]
+    run = giajax.synthesise(
+        truth, times, inputs, outputs, noise={"position": 0.002}, constants=giajax.ArmModel(arm)
+    )
+    giajax.write_run("hardening.csv", run.times, run.values, definition=run.definition)
+    run = giajax.read_run("hardening.csv")
+    first = giajax.fit(giajax.model_for([run]), run)
+    suspect = giajax.suspects(first, run).promising[0]
+    assert "joints.laws.HardeningJoint.loss" in (suspect.path, *suspect.alike)
+    free = [*first.config["free"], "joints.laws.HardeningJoint.loss"]
+    result = giajax.fit(giajax.model_for([run]), run, free=free)
+    for path, value in true.items():
+        estimate = result.parameters[path]
+        assert abs(estimate.value - value) < 3 * estimate.standard_error
+    giajax.write_result(result, run, "hardening", figures=False)
+
+
+if __name__ == "__main__":
+    main()

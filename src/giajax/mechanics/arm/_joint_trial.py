@@ -1,0 +1,235 @@
+"""A law of joints on trial: what it returns, its derivatives, and whether it makes energy."""
+
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...runtime.arrays import Array, Float, Scalar
+from ...runtime.process import enable_x64
+from ...runtime.programs import program
+from ...runtime.text import InputError
+from ...schema.parameters import is_concrete
+from ._joint_laws import AbstractJointLaw, JointState, States
+
+# Half the way of each motion to and fro (rad), and how often it is made in a second.
+_MOTIONS = ((1e-3, 1.0), (0.03, 0.3), (0.4, 2.0), (1.5, 0.5), (0.0, 0.0), (0.3, 0.0))
+_SAMPLES, _CYCLES = 96, 2.0
+_STEP = 1e-6  # of differences, in rad, s and so on
+_MOST_STEPS = 1000  # of the states between two samples; what is quicker is tried where it got to
+_TOLERANCE = 1e-2
+
+
+def check_joint_law(law: AbstractJointLaw, joints: int = 7) -> None:
+    """Try a law on so many joints that move to and fro under a held command, and at rest.
+
+    While a program is traced nothing is checked.
+
+    Raises:
+        InputError: naming the method and what is wrong: an exception, a shape, a value or a
+            derivative that is not finite, a derivative that is not that of the differences, a
+            joint that depends on another one, or more energy than the law has stored, unless its
+            `passive` is False.
+    """
+    if not is_concrete(law):
+        return
+    with jax.ensure_compile_time_eval(), enable_x64(True):
+        law = jax.tree.map(lambda x: x.astype(float) if eqx.is_inexact_array(x) else x, law)
+        _check_shapes(law, joints)
+        for seed, (size, frequency) in enumerate(_MOTIONS):
+            phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (2, joints))
+            numbers = (jnp.asarray(size), jnp.asarray(frequency), jnp.asarray(phases))
+            _judge(law, *jax.tree.map(np.asarray, _tried(law, *numbers)))
+
+
+def _check_shapes(law: AbstractJointLaw, joints: int) -> None:
+    name = type(law).__name__
+    if any(each.name == "rows" and not each.metadata.get("static") for each in fields(law)):
+        raise InputError(f"{name}.rows is a field: make it a constant of the class, or static")
+    if (rows := operator.index(law.rows)) < 0:
+        raise InputError(f"{name}.rows is {rows}: give 0, or as many states of each joint")
+    each, states = jnp.zeros(joints), jnp.zeros((rows, joints))
+    at = JointState(each, each, each, states)
+    methods: dict[str, tuple[tuple[Any, ...], Any]] = {
+        "unstrained": ((each,), states),
+        "torque": ((at,), each),
+        "energy": ((at,), each),
+        "rate": ((at,), states),
+        "return_mapped": ((each, states), states),
+        "slopes": ((at,), (each, each)),
+        "stiffest": ((at,), each),
+        "dissipation": ((at,), each),
+    }
+    for method, (given, like) in methods.items():
+        try:
+            found = jax.eval_shape(getattr(law, method), *given)
+        except Exception as error:
+            raise InputError(
+                f"{name}.{method} fails ({type(error).__name__}: {str(error).splitlines()[0]}): "
+                "correct it"
+            ) from error
+        shapes = jax.tree.map(lambda x: getattr(x, "shape", None), (found, like))
+        if shapes[0] != shapes[1]:
+            raise InputError(
+                f"{name}.{method} returns the shape {shapes[0]} for {joints} joints: return "
+                f"{shapes[1]}"
+            )
+
+
+@program
+def _tried(
+    law: AbstractJointLaw, size: Scalar, frequency: Scalar, phases: Float[Array, "2 joint"]
+) -> tuple[JointState, dict[str, Any]]:
+    """The joints at each sample of a motion, and what is found there."""
+    first, second = phases
+    turn = 2 * np.pi * frequency
+    span = _CYCLES / jnp.where(frequency > 0, frequency, 1)
+
+    def motion(time: Any, states: States) -> JointState:
+        angles = size * (jnp.sin(turn * time + first) + 0.3 * jnp.sin(2 * turn * time + second))
+        rates = jnp.cos(turn * time + first) + 0.6 * jnp.cos(2 * turn * time + second)
+        return JointState(angles, size * turn * rates, 0.2 * size * jnp.cos(second), states)
+
+    def one(states: States, times: tuple[Scalar, Scalar]) -> tuple[States, Any]:
+        time, end = times
+        at = motion(time, states)
+        states = _integrated(lambda t, x: law.rate(motion(t, x)), states, time, end)
+        return law.return_mapped(motion(end, states).angles, states), (at, _found(law, at))
+
+    start = law.unstrained(motion(0.0, jnp.zeros((law.rows, first.size))).angles)
+    times = span * jnp.linspace(0.0, 1.0, _SAMPLES)
+    tried: tuple[JointState, dict[str, Any]]
+    _, tried = jax.lax.scan(one, start, (times[:-1], times[1:]))
+    return tried
+
+
+def _integrated(
+    rate: Callable[[Any, States], States], states: States, time: Scalar, end: Scalar
+) -> States:
+    """States at the end, by Heun's method in steps that are as short as they must be."""
+    if not states.size:
+        return states
+
+    def going(carry: Any) -> Array:
+        count, time, _, _ = carry
+        return (count < _MOST_STEPS) & (time < end)
+
+    def one(carry: Any) -> Any:
+        count, time, states, step = carry
+        step = jnp.minimum(step, end - time)
+        first = step * rate(time, states)
+        error = (step * rate(time + step, states + first) - first) / 2
+        size = jnp.maximum(jnp.max(jnp.abs(states)), jnp.max(jnp.abs(first)))
+        wrong = jnp.max(jnp.abs(error)) / (1e-3 * size + 1e-300)
+        done = wrong < 1
+        states = jnp.where(done, states + first + error, states)
+        wider = step * jnp.clip(0.9 / jnp.sqrt(wrong + 1e-300), 0.2, 5)
+        return count + 1, jnp.where(done, time + step, time), states, wider
+
+    end_of: Array = jax.lax.while_loop(going, one, (0, time, states, (end - time) / 10))[2]
+    return end_of
+
+
+def _size(x: Array) -> Array:
+    return jnp.maximum(jnp.abs(x), 1)
+
+
+def _values(law: AbstractJointLaw, at: JointState) -> dict[str, Array]:
+    return {"torque": law.torque(at), "energy": law.energy(at), "rate": law.rate(at)}
+
+
+def _found(law: AbstractJointLaw, at: JointState) -> dict[str, Any]:
+    """Values, slopes with the differences to both sides, joints that others move, and powers."""
+    parameters, rest = eqx.partition(law, eqx.is_inexact_array)
+    given: dict[str, Any] = {**at._asdict(), "parameters": parameters}
+    here = _values(law, at)
+
+    def slopes(name: str) -> tuple[dict[str, Array], ...]:
+        # Of a parameter in its own size, where it is large.
+        value, least = given[name], jnp.ones_like if name in at._fields else _size
+        along = jax.tree.map(least, value)
+
+        def of(value: Any) -> dict[str, Array]:
+            own = {**given, name: value}
+            whole = eqx.combine(own.pop("parameters"), rest)
+            return _values(whole, JointState(**own))
+
+        def to_one_side(step: float) -> dict[str, Array]:
+            there = of(jax.tree.map(lambda x, dx: x + step * dx, value, along))
+            return jax.tree.map(lambda x, x0: (x - x0) / step, there, here)
+
+        return jax.jvp(of, (value,), (along,))[1], to_one_side(_STEP), to_one_side(-_STEP)
+
+    def others(moved: Array) -> dict[str, Array]:
+        """What changes of all joints but one where that one is elsewhere."""
+        there = _values(law, jax.tree.map(lambda x: jnp.where(moved, x + 0.01, x), at))
+        return {
+            name: jnp.max(jnp.where(moved, 0, jnp.abs(value - here[name])), initial=0)
+            for name, value in there.items()
+        }
+
+    angles = at.angles + _STEP * at.rates
+    states = law.return_mapped(angles, at.states + _STEP * here["rate"])
+    after = at._replace(angles=angles, states=states)
+    return {
+        "values": here,
+        "slopes": {name: slopes(name) for name in given},
+        "others": jax.vmap(others)(jnp.eye(at.angles.size, dtype=bool)),
+        "taken": -(here["torque"] + law.torque(after)) / 2 * at.rates,
+        "stored": (law.energy(after) - here["energy"]) / _STEP,
+        "dissipation": law.dissipation(at),
+        "falling": law.slopes(at),
+    }
+
+
+def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None:
+    name = type(law).__name__
+
+    def refuse(method: str, what: str, wrong: np.ndarray, action: str) -> None:
+        if np.any(wrong):
+            sample, joint = np.argwhere(wrong)[0][[0, -1]]
+            angle, rate = at.angles[sample, joint], at.rates[sample, joint]
+            where = f"at {angle:.3g} rad and {rate:.3g} rad/s"
+            raise InputError(f"{name}.{method} {what} {where}: {action}")
+
+    def largest(*values: np.ndarray) -> float:
+        return sum(float(np.max(np.abs(value), initial=0)) for value in values) + 1e-9
+
+    def between(slope: np.ndarray, slopes: Sequence[np.ndarray], margin: float) -> np.ndarray:
+        """Whether it is one of the slopes to both sides, which differ at a corner."""
+        low, high = np.fmin(*slopes), np.fmax(*slopes)
+        inside: np.ndarray = (low - margin <= slope) & (slope <= high + margin)
+        return inside
+
+    for method, value in found["values"].items():
+        finite = "correct it (safe_norm of giajax.runtime.arrays is a root with derivatives at 0)"
+        refuse(method, "has a value that is not finite", ~np.isfinite(value), finite)
+        apart = "compute each joint from its own angle, rate, command and states"
+        moves = found["others"][method] > 1e-9 * largest(value)
+        refuse(method, "depends on another joint", moves, apart)
+        for given, parts in found["slopes"].items():
+            slope, *slopes = (part[method] for part in parts)
+            what = f"has a derivative by its {given} that is not"
+            refuse(method, f"{what} finite", ~np.isfinite(slope), finite)
+            wrong = ~between(slope, slopes, _TOLERANCE * largest(slope, value))
+            refuse(method, f"{what} that of differences", wrong, "correct its rule, or remove it")
+    for given, falling in zip(("angles", "rates"), found["falling"], strict=True):
+        slopes = [part["torque"] for part in found["slopes"][given][1:]]
+        wrong = ~between(-falling, slopes, _TOLERANCE * largest(*slopes, found["values"]["torque"]))
+        what = f"is not how the torque falls with the {given}"
+        refuse("slopes", what, wrong, "correct it, or leave it to derivatives")
+    taken, stored = found["taken"], found["stored"]
+    lost, size = taken - stored, np.abs(taken) + np.abs(stored)
+    margin = _TOLERANCE * size + 1e-6 * largest(size) + 1e-8 * largest(found["values"]["energy"])
+    if law.passive:
+        what = f"gives more than {name}.energy had stored, and would make energy,"
+        refuse("torque", what, lost < -margin, "correct one of them, or state passive = False")
+    if type(law).dissipation is not AbstractJointLaw.dissipation:
+        what = "is not what torque and energy lose"
+        wrong = np.abs(found["dissipation"] - lost) > margin
+        refuse("dissipation", what, wrong, "correct it, or leave it to derivatives")

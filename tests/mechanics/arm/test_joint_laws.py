@@ -1,0 +1,342 @@
+"""Laws of joints: those of giajax, one of one's own, and wrong ones."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import giajax
+from giajax import InputError
+from giajax.mechanics.arm import (
+    AbstractJointLaw,
+    Damper,
+    EndStops,
+    Friction,
+    Hardening,
+    JointLaws,
+    JointState,
+    Memory,
+    Spring,
+    Stops,
+    chain,
+    damping_power,
+    drag_power,
+    hysteresis_power,
+    joint_torque,
+    kinetic_energy,
+    potential_energy,
+)
+from giajax.schema.parameters import declared, default_free, parameter, replace
+from giajax.simulation import constant
+from giajax.testing import check_joint_law
+
+ONE = jnp.asarray(1.1)
+LAWS = {
+    "spring": Spring(ONE),
+    "damper": Damper(ONE),
+    "friction": Friction(ONE, jnp.asarray(0.05)),
+    "dahl": Memory(strength=0.2),
+    "bouc-wen": Memory(strength=0.2, yield_angle=0.03, nu=2.5, delta=0.3),
+    "elastic": Memory(strength=0.2, yield_angle=0.03, nu=6.0, delta=0.5),
+    "stops": Stops(strength=[0.1, 0.2], yield_angle=[0.02, 0.3]),
+    "hardening": Hardening(cubic=2.0, quintic=1.0),
+    "ends": EndStops(lower=-0.3, damping=0.5),
+}
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_a_law_of_giajax_makes_no_energy_and_has_its_derivatives(law):
+    check_joint_law(law)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_both_modes_agree_with_differences_at_rest_and_in_motion(law):
+    """Away from corners, of torque, energy and rate at once, by every number."""
+    random = np.random.default_rng(0)
+    parts = jnp.asarray(random.uniform(-1.5, 1.5, (3, 5)))
+    states = jnp.asarray(random.uniform(-0.5, 0.5, (law.rows, 5)))
+    moving = JointState(*parts, states)
+    still = JointState(*jnp.zeros((3, 5)), law.unstrained(jnp.zeros(5)))
+    at = jax.tree.map(lambda *each: jnp.stack(each), moving, still)
+    values, rest = eqx.partition(law, eqx.is_inexact_array)
+
+    def each(values, at):
+        own = eqx.combine(values, rest)
+        return jnp.concatenate([own.torque(at), own.energy(at), own.rate(at).ravel()])
+
+    function = jax.jit(jax.vmap(each, (None, 0)))
+    given = (values, at)
+    along = jax.tree.map(lambda x: jnp.asarray(random.normal(size=x.shape)), given)
+    # Bouc-Wen has a corner where it rests: along a rate of 0 to both sides.
+    corner = isinstance(law, Memory)
+    slope = jax.jvp(function, given, along)[1]
+    out, back = jax.vjp(function, *given)
+    weights = jnp.cos(jnp.arange(out.size, dtype=out.dtype)).reshape(out.shape)
+    pairs = zip(jax.tree.leaves(back(weights)), jax.tree.leaves(along), strict=True)
+    assert np.all(np.isfinite(slope))
+    assert_allclose(sum(jnp.vdot(g, d) for g, d in pairs), jnp.vdot(weights, slope), rtol=1e-12)
+
+    def moved(step):
+        return function(*jax.tree.map(lambda x, dx: x + step * dx, given, along))
+
+    differences = (moved(1e-6) - moved(-1e-6)) / 2e-6
+    count = 1 if corner else 2
+    assert_allclose(slope[:count], differences[:count], rtol=1e-6, atol=1e-6)
+
+
+def test_a_hardening_joint_and_its_stops_are_those_of_hand():
+    angles, command = jnp.asarray([0.3, -0.2, 0.5]), jnp.asarray([0.1, 0.2, 0.5])
+    still = jnp.zeros(3)
+    bent = JointLaws((Hardening(cubic=2.0, quintic=[1.0, 2.0, 3.0]),))
+    found = bent.torque(bent.at(angles, still, command))
+    d = np.asarray(angles - command)
+    assert_allclose(found, -(2 * d**3 + np.asarray([1.0, 2.0, 3.0]) * d**5), atol=1e-15)
+    ends = EndStops(lower=-0.1, upper=0.2, stiffness=10.0, damping=0.5, blend=0.02)
+    ends = JointLaws((ends,))
+    # Beyond the blend the line begins at half of it.
+    assert_allclose(ends.torque(ends.at(angles, still, still)), [-0.9, 0.9, -2.9], rtol=1e-12)
+    closing = ends.torque(ends.at(angles, jnp.asarray([2.0, 2.0, -9.0]), still))
+    assert_allclose(closing, [-1.8, 0.0, 0.0], atol=1e-12)
+
+
+@giajax.register
+class Creep(AbstractJointLaw):
+    """A spring and a damper in series (Maxwell): its state is the torque, N m."""
+
+    modulus: jax.Array = parameter(2.0, unit="N m/rad", lower=0, frozen=False, doc="stiffness")
+    time: jax.Array = parameter(0.3, unit="s", lower=1e-3, each=True, per="joint", doc="of decay")
+    rows = 1
+
+    def torque(self, at):
+        return -at.states[0]
+
+    def energy(self, at):
+        return at.states[0] ** 2 / (2 * self.modulus)
+
+    def rate(self, at):
+        return (self.modulus * at.rates - at.states[0] / self.time)[None]
+
+
+@giajax.register
+class Snapping(AbstractJointLaw):
+    """Two stable angles: it stores energy in between, and runs away from there."""
+
+    depth: jax.Array = parameter(4.0, unit="N m", lower=0, doc="of the wells")
+
+    def torque(self, at):
+        return self.depth * at.angles * (1 - (at.angles / 0.2) ** 2)
+
+    def energy(self, at):
+        return self.depth * (0.2**2 * (1 - (at.angles / 0.2) ** 2) ** 2) / 4
+
+
+def test_its_parameters_are_declared_as_all_others():
+    arm = chain(2, joint_laws=["Creep", "hardening"], parameters={"joints.laws.Creep.time": [1, 2]})
+    paths = {"joints.laws.Creep.time", "joints.laws.Creep.modulus", "joints.laws.hardening.cubic"}
+    assert paths <= set(declared(arm))
+    assert set(default_free(arm)) >= paths - {"joints.laws.Creep.time"}
+
+
+def test_an_arm_with_laws_goes_through_its_definition():
+    arm = chain(2, joint_laws=[Creep(), "end_stops"], parameters={"joints.laws.Creep.time": 0.1})
+    model = giajax.ArmModel(arm)
+    assert model.definition()["arm"]["joint_laws"] == ["Creep", "end_stops"]
+    again = giajax.ArmModel.from_definition(model.definition())
+    assert eqx.tree_equal(again.arm.joints, arm.joints)
+    assert "joint_laws" not in giajax.ArmModel(chain(2)).definition()["arm"]
+
+    class Local(Creep):
+        """Nobody has registered it."""
+
+    with pytest.raises(InputError, match="the joint law Local is not registered"):
+        giajax.ArmModel(chain(2, joint_laws=[Local()])).definition()
+
+
+def test_the_states_of_ones_own_law_follow_those_of_memory_and_stops():
+    values = {"joints.memory.strength": 0.03, "joints.stops.strength": [0.1, 0.2]}
+    arm = chain(2, joint_laws=["Creep"], parameters=values)
+    plain = chain(2, parameters=values)
+    rest, angles = jnp.zeros(2), jnp.asarray([0.3, -0.2])
+    memory = jnp.asarray([[0.5, 0.2], [0.31, -0.2], [0.25, 0.1], [0.7, 0.8]])
+    found = joint_torque(arm, angles, rest, rest, memory)
+    without = joint_torque(plain, angles, rest, rest, memory[:3])
+    assert_allclose(found, without - memory[3], rtol=1e-14)
+
+
+@pytest.mark.parametrize("names", [["Creep", "end_stops", "hardening"], ["Snapping"]], ids=str)
+def test_a_motion_with_laws_loses_what_they_say(names):
+    """And is the same by an explicit and by the linearly implicit method."""
+    ends = {"lower": -0.1, "stiffness": 10.0, "damping": 0.5}
+    ends = {f"joints.laws.end_stops.{name}": value for name, value in ends.items()}
+    values = {"joints.damping": 0.02} | (ends if "end_stops" in names else {})
+    arm = chain(2, joint_laws=names, parameters=values)
+    held, times = jnp.asarray([0.2, -0.1]), np.linspace(0, 2.0, 2001)
+    start = (np.asarray([0.4, -0.3]), np.asarray([1.0, -2.0]))
+    options = {"initial": start, "rtol": 1e-9, "atol": 1e-9}
+    command = constant(held)
+    motion = giajax.simulate(arm, command, times, solver="springs5", **options)
+    other = giajax.simulate(arm, command, times, solver="tsit5", **options)
+    assert_allclose(motion.angles, other.angles, rtol=0, atol=1e-6)
+    memory = np.zeros((len(times), 0, 2)) if motion.memory is None else motion.memory
+
+    @jax.jit
+    @jax.vmap
+    def balance(angles, rates, memory):
+        energy = kinetic_energy(arm, angles, rates)
+        energy = energy + potential_energy(arm, angles, held, memory=memory)
+        power = drag_power(arm, angles, rates) + damping_power(arm, rates)
+        return energy, power + hysteresis_power(arm, angles, rates, memory, held)
+
+    energy, power = map(np.asarray, balance(motion.angles, motion.rates, jnp.asarray(memory)))
+    lost = np.sum((power[1:] + power[:-1]) / 2 * np.diff(times))
+    assert energy[-1] - energy[0] == pytest.approx(lost, abs=1e-3 * energy[0])
+    assert energy[0] - energy[-1] > 0.1 * energy[0]
+
+
+def test_a_motion_by_parameters_of_a_law_has_their_derivatives():
+    arm = chain(2, joint_laws=["Creep", "hardening"])
+    command = giajax.joint_ramps(2, {1: 0.5, 2: -0.3}, duration=0.2)
+
+    @jax.jit
+    def end(values):
+        own = replace(arm, dict(zip(paths, values, strict=True)))
+        motion = giajax.simulate(
+            own, command, np.linspace(0, 1.0, 5), rtol=1e-9, atol=1e-9, steps_for="derivatives"
+        )
+        return motion.angles[-1]
+
+    paths = ["joints.laws.Creep.modulus", "joints.laws.Creep.time", "joints.laws.hardening.cubic"]
+    at = jnp.asarray([2.0, 0.3, 1.0])
+    slopes = jax.jacfwd(end)(at)
+    steps = 1e-5 * jnp.eye(3)
+    found = jnp.stack([(end(at + step) - end(at - step)) / 2e-5 for step in steps], axis=1)
+    assert_allclose(slopes, found, atol=1e-5 * float(jnp.max(jnp.abs(found))))
+    assert np.all(np.max(np.abs(found), axis=0) > 1e-4)
+
+
+class Shapeless(Creep):
+    def torque(self, at):
+        return self.modulus
+
+
+class Coupled(Creep):
+    def torque(self, at):
+        return -at.states[0] - 0.1 * jnp.roll(at.rates, 2)
+
+
+class Giving(Creep):
+    def torque(self, at):
+        return at.states[0]
+
+
+class Forgetting(Creep):
+    """As if nothing were stored."""
+
+    def energy(self, at):
+        return 0 * at.rates
+
+
+class Rough(Creep):
+    def torque(self, at):
+        return -at.states[0] - at.rates * jnp.sqrt(jnp.abs(at.rates))
+
+
+class Infinite(Creep):
+    def energy(self, at):
+        return at.states[0] ** 2 / 0.0
+
+
+class Counted(Creep):
+    rows: int = 1
+
+
+class Backwards(Creep):
+    rows = -1
+
+
+class Broken(Creep):
+    def rate(self, at):
+        return at.speeds
+
+
+class Stiffer(Creep):
+    def slopes(self, at):
+        return self.modulus + 0 * at.rates, 0 * at.rates
+
+
+class Cooler(Creep):
+    def dissipation(self, at):
+        return 0 * at.rates
+
+
+@jax.custom_jvp
+def _held(torque):
+    return torque
+
+
+_held.defjvp(lambda primals, tangents: (primals[0], 0 * tangents[0]))
+
+
+class Misled(Creep):
+    def torque(self, at):
+        return -_held(at.states[0])
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        (Shapeless(), r"Shapeless.torque returns the shape \(\) for 4 joints: return \(4,\)"),
+        (Coupled(), "Coupled.torque depends on another joint at .*: compute each joint from its"),
+        (Giving(), "Giving.torque gives more than Giving.energy had stored, and would make energy"),
+        (Forgetting(), "Forgetting.torque gives more than Forgetting.energy had stored"),
+        (Rough(), "Rough.torque has a derivative by its rates that is not finite at .* 0 rad/s"),
+        (Infinite(), "Infinite.energy has a value that is not finite at"),
+        (Counted(), "Counted.rows is a field: make it a constant of the class"),
+        (Backwards(), "Backwards.rows is -1: give 0, or as many states"),
+        (Broken(), r"Broken.rate fails \(AttributeError: .*no attribute 'speeds'"),
+        (Stiffer(), "Stiffer.slopes is not how the torque falls with the angles at"),
+        (Cooler(), "Cooler.dissipation is not what torque and energy lose at"),
+        (Misled(), "Misled.torque has a derivative by its states that is not that of differences"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, AbstractJointLaw) else "",
+)
+def test_a_wrong_law_is_refused_before_anything_is_fitted(law, said):
+    with pytest.raises(InputError, match=said):
+        chain(4, joint_laws=[law])
+
+
+def test_a_law_that_is_driven_says_so():
+    class Driven(Giving):
+        passive = False
+
+    check_joint_law(Driven())
+
+
+def test_a_law_without_its_method_is_refused_by_its_name():
+    with pytest.raises(InputError, match="Unfinished has no energy: write it"):
+
+        @giajax.register
+        class Unfinished(AbstractJointLaw):
+            def torque(self, at):
+                return -at.rates
+
+
+def test_names_of_laws_are_those_of_registered_ones_each_once():
+    with pytest.raises(InputError, match="there is no joint law 'Nobodys': register it"):
+        chain(2, joint_laws=["Nobodys"])
+    with pytest.raises(InputError, match="Creep is among joint_laws twice"):
+        chain(2, joint_laws=["Creep", Creep()])
+    with pytest.raises(InputError, match='\'Nobodys\' must be "hardening", "end_stops" or'):
+        giajax.recordings.Definition.parse({"arm": {"joint_laws": ["Nobodys"]}}, "test")
+    with pytest.raises(InputError, match="there is a joint 'hardening' already"):
+
+        @giajax.register
+        class Other(AbstractJointLaw):
+            kind = "hardening"
+
+            def torque(self, at):
+                return -at.rates
+
+            energy = torque
