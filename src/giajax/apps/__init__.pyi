@@ -6,6 +6,7 @@ from . import (
     filling as filling,
     joint as joint,
     mission as mission,
+    mjcf as mjcf,
     paper as paper,
     synthetic as synthetic,
     viewer as viewer,

@@ -1,0 +1,436 @@
+"""Arms for MuJoCo, and from it: serial chains of hinges, as MJCF or URDF, and their air.
+
+`read_mjcf` makes an arm of a file, `export_mjcf` files of an arm: its chain, and as a Python file
+what MuJoCo does not have. Both say what is lost. MuJoCo's own `MjSpec` reads.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..mechanics.arm import Arm, PointMasses, bodies, chain, lift
+from ..runtime.text import InputError, one_of
+
+if TYPE_CHECKING:
+    import mujoco
+
+Array = np.ndarray
+
+AIR = "air.py"
+"""The Python file beside an exported arm, which is `_mujoco_air.py` of this folder."""
+
+_ON_LINE = 1e-9  # of the length of the arm: how far a joint may lie off the line of the others
+_ROUND = 1e-9  # of the inertia of a link: how far it may be from one that is round about the link
+# Of the mass of a link that is not round: what is left to the link beside its point masses.
+_BARE = 1e-9
+
+
+class ReadArm(NamedTuple):
+    """An arm that a file describes.
+
+    Attributes:
+        arm: with the air of `giajax.chain`; its angles are those of the file less `ref`.
+        names: of the joints in the file, from the base on.
+        rest: angles at which the springs of the file are without torque, shape (joint,), rad:
+            the command of a motion that is to be that of the file.
+        stated: paths of parameters of the joints that the file states.
+        lost: sentences on what of the file the arm does not have.
+    """
+
+    arm: Arm
+    names: tuple[str, ...]
+    rest: Array
+    stated: tuple[str, ...]
+    lost: tuple[str, ...]
+
+
+def read_mjcf(
+    path: str | Path,
+    *,
+    diameter: float | None = None,
+    parameters: Mapping[str, Any] | None = None,
+) -> ReadArm:
+    """Read an arm from MJCF or URDF: a chain of hinges that is straight at angles of zero.
+
+    Masses, inertias, axes, dampers, armatures and springs are the file's. Bodies without a joint
+    belong to the link that they are fixed to. A link that is not round about its own axis is its
+    mass in six points, of the same inertia.
+
+    Arguments:
+        diameter: of all links, as the air sees them, m; by default as thick as their geoms.
+        parameters: values by path, SI, as of `giajax.chain`, on top of those of the file.
+
+    Raises:
+        InputError: MuJoCo is not installed or cannot read the file; a tree; a joint that is no
+            hinge or lies off the line of the others; a link that nothing says the size of.
+    """
+    mujoco = _mujoco()
+    try:
+        model = mujoco.MjSpec.from_file(str(path)).compile()
+    except (ValueError, OSError) as error:
+        sentence = " ".join(str(error).split())
+        raise InputError(f"{path} is not read by MuJoCo ({sentence}): correct it") from None
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    links = _chain_of(model, path)
+    names = tuple(model.joint(joint).name or f"joint {joint + 1}" for joint in range(model.njnt))
+    lost = list(_lost(model))
+
+    anchors, ends = data.xanchor, _last_point(model, data, links[-1])
+    size = float(np.linalg.norm(ends - anchors[0]))
+    line = (
+        ends if len(links) == 1 or not np.any(anchors[1] - anchors[0]) else anchors[1]
+    ) - anchors[0]
+    along = line / (np.linalg.norm(line) or 1.0)
+    off = np.linalg.norm(np.cross(anchors - anchors[0], along), axis=1)
+    if np.any(off > _ON_LINE * size):
+        joint = int(np.argmax(off > _ON_LINE * size))
+        raise InputError(
+            f"{path}: the joint '{names[joint]}' is {off[joint]:.3g} m off the line of the others, "
+            "and links are straight at angles of zero: move it, or set its ref"
+        )
+    length = np.diff(([*anchors, ends] - anchors[0]) @ along)
+    if not np.all(length > 0):
+        joint = int(np.argmin(length > 0))
+        raise InputError(
+            f"{path}: the link of the joint '{names[joint]}' has no length along the arm: give it "
+            "one, and to the last one a geom or a site at its end"
+        )
+    world = _upright(-model.opt.gravity)
+    frame = _frame(along, world[2])
+    parts = [_body(model, data, link, anchors[k], frame) for k, link in enumerate(links)]
+    thick = [_thickness(model, data, link, frame) for link in links]
+    if diameter is None and not all(thick):
+        joint = thick.index(0.0)
+        raise InputError(
+            f"{path}: no geom says how thick the link of the joint '{names[joint]}' is: "
+            "give the diameter of the links"
+        )
+    points, link_mass, lateral = _points(parts)
+    if points is not None:
+        which = ", ".join(str(link) for link in dict.fromkeys(points.links))
+        lost.append(f"links that are not round about their axis are six points each: {which}")
+    axes = data.xaxis @ frame
+    joints = _joints(model, axes, lost)
+    arm = chain(
+        len(links),
+        length=length,
+        diameter=thick if diameter is None else diameter,
+        mass=link_mass,
+        centre_of_mass=[part.centre[0] for part in parts],
+        inertia_transverse=lateral[:, 1],
+        inertia_axial=lateral[:, 0],
+        joint_axes=axes.tolist(),
+        base_rotation=Rotation.from_matrix(world @ frame).as_rotvec(),
+        gravity=float(np.linalg.norm(model.opt.gravity)),
+        point_masses=points,
+        parameters=joints | dict(parameters or {}),
+    )
+    rest = np.asarray(model.qpos_spring - model.qpos0)
+    if np.any(rest[np.asarray(model.jnt_stiffness) > 0]):
+        angles = ", ".join(f"{angle:.6g}" for angle in np.rad2deg(rest))
+        lost.append(f"springs rest at angles of the file, so command these: {angles} deg")
+    return ReadArm(arm, names, rest, tuple(joints), tuple(lost))
+
+
+def _mujoco() -> Any:
+    if find_spec("mujoco") is None:
+        raise InputError("MuJoCo is not installed: pip install 'giajax[mujoco]'")
+    import mujoco
+
+    return mujoco
+
+
+def _chain_of(model: "mujoco.MjModel", path: str | Path) -> list[int]:
+    """The bodies with the joints of a chain, from the base on."""
+    import mujoco
+
+    if not model.njnt:
+        raise InputError(f"{path} has no joint: an arm has a hinge for each link")
+    for joint in range(model.njnt):
+        if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+            name = model.joint(joint).name
+            raise InputError(f"{path}: the joint '{name}' is no hinge: an arm has hinges alone")
+    links = [int(body) for body in model.jnt_bodyid]
+    before = 0
+    for body in links:
+        name = model.body(body).name
+        if body == before:
+            raise InputError(f"{path}: the body '{name}' has two joints: give each one a body")
+        held = int(model.body_weldid[model.body_parentid[body]])
+        if held != before:
+            others = one_of(
+                model.body(other).name for other in links if _held(model, other) == held
+            )
+            raise InputError(
+                f"{path} is a tree, and an arm is a chain: keep one of the bodies {others}"
+            )
+        before = body
+    return links
+
+
+def _held(model: "mujoco.MjModel", body: int) -> int:
+    """The moving body, or the world (0), to which the joint of a body holds it."""
+    return int(model.body_weldid[model.body_parentid[body]])
+
+
+def _lost(model: "mujoco.MjModel") -> Iterator[str]:
+    """What a file has and an arm does not, joints apart."""
+    counts = {"actuators": model.nu, "tendons": model.ntendon, "equalities": model.neq}
+    yield from (f"the file's {name} are lost" for name, count in counts.items() if count)
+    if model.opt.density or model.opt.viscosity:
+        yield "the medium of MuJoCo is lost: the air is giajax's"
+    if np.any((model.geom_contype != 0) | (model.geom_conaffinity != 0)):
+        yield "geoms touch nothing: obstacles are stated in [arm]"
+    if np.any(model.jnt_limited):
+        yield "the limits of joints are lost"
+
+
+def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, Any]:
+    """Parameters of the joints by path; `lost` grows by what they cannot say."""
+    found: dict[str, Any] = {"joints.damping": np.array(model.dof_damping)}
+    yaw = np.abs(axes[:, 2]) > np.sqrt(0.5)  # as `Joints.is_yaw`
+    for name, which in (("pitch", ~yaw), ("yaw", yaw)):
+        several = sorted(set(model.jnt_stiffness[which].tolist())) or [0.0]
+        found[f"joints.{name}_stiffness"] = several[0] if len(several) == 1 else 0.0
+        if len(several) > 1:
+            lost.append(f"springs are lost: those of {name} joints have several stiffnesses")
+    if np.any(model.dof_armature):
+        found["joints.armature"] = np.array(model.dof_armature)
+    if np.any(model.dof_frictionloss):
+        found["joints.friction"] = np.array(model.dof_frictionloss)
+        lost.append("frictionloss, which sticks at rest, is a smooth friction here")
+    return found
+
+
+class _Part(NamedTuple):
+    """A link in its own frame: mass (kg), centre (m), inertia about that (kg m^2)."""
+
+    mass: float
+    centre: Array
+    inertia: Array
+
+
+def _body(
+    model: "mujoco.MjModel", data: "mujoco.MjData", link: int, anchor: Array, frame: Array
+) -> _Part:
+    """A body and those that are fixed to it."""
+    fixed = np.flatnonzero(model.body_weldid == link)
+    mass = model.body_mass[fixed]
+    places = (data.xipos[fixed] - anchor) @ frame
+    centre = mass @ places / mass.sum()
+    inertia = np.zeros((3, 3))
+    for body, each, place in zip(fixed, mass, places - centre, strict=True):
+        turned = frame.T @ data.ximat[body].reshape(3, 3)
+        inertia += turned @ np.diag(model.body_inertia[body]) @ turned.T
+        inertia += each * (place @ place * np.eye(3) - np.outer(place, place))
+    return _Part(float(mass.sum()), centre, inertia)
+
+
+def _points(parts: list[_Part]) -> tuple[PointMasses | None, Array, Array]:
+    """Links that are not round as points; the masses of all links, and their moments of inertia."""
+    links, rows, mass, moments = [], [], [], []
+    for link, part in enumerate(parts, start=1):
+        moment = np.diag(part.inertia)
+        scale = moment.sum()
+        uneven = np.abs(part.inertia - np.diag(moment)).max() + abs(moment[1] - moment[2])
+        offset = np.linalg.norm(part.centre[1:])
+        if uneven <= _ROUND * scale and part.mass * offset**2 <= _ROUND**2 * scale:
+            mass.append(part.mass)
+            moments.append(moment)
+            continue
+        # Two points on each principal axis, whose second moments are those of the body.
+        left = part.mass * _BARE
+        each = (part.mass - left) / 6
+        principal, axes = np.linalg.eigh(part.inertia)
+        second = np.maximum(principal.sum() / 2 - principal, 0)
+        for axis, reach in zip(axes.T, np.sqrt(second / (2 * each)), strict=True):
+            rows += [(each, *(part.centre + sign * reach * axis)) for sign in (-1, 1)]
+            links += [link, link]
+        mass.append(left)
+        moments.append(np.full(3, _BARE * scale))
+    if not rows:
+        return None, np.array(mass), np.array(moments)
+    import jax.numpy as jnp
+
+    columns = dict(zip(("mass", "position", "left", "up"), jnp.asarray(rows).T, strict=True))
+    return PointMasses(links=tuple(links), **columns), np.array(mass), np.array(moments)
+
+
+def _corners(model: "mujoco.MjModel", data: "mujoco.MjData", link: int) -> Array:
+    """Corners of the boxes around the geoms of a link, and its sites, shape (point, 3), m."""
+    fixed = np.flatnonzero(model.body_weldid == link)
+    signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
+    points = [np.zeros((0, 3))]
+    for geom in np.flatnonzero(np.isin(model.geom_bodyid, fixed)):
+        centre, half = np.split(model.geom_aabb[geom], 2)
+        points.append(
+            (centre + signs * half) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        )
+    return np.concatenate(points)
+
+
+def _last_point(model: "mujoco.MjModel", data: "mujoco.MjData", link: int) -> Array:
+    """Where the last link ends: at its farthest site or geom along the line to its centre."""
+    anchor = data.xanchor[-1]
+    fixed = np.flatnonzero(model.body_weldid == link)
+    towards = anchor - data.xanchor[0]
+    if not np.any(towards):
+        towards = np.average(data.xipos[fixed], axis=0, weights=model.body_mass[fixed]) - anchor
+    if not np.any(towards):
+        return np.array(anchor)
+    towards = towards / np.linalg.norm(towards)
+    sites = data.site_xpos[np.isin(model.site_bodyid, fixed)]
+    ends = np.concatenate([_corners(model, data, link), sites])
+    reach = (ends - anchor) @ towards
+    return np.asarray(anchor + max(reach, default=0.0) * towards)
+
+
+def _thickness(model: "mujoco.MjModel", data: "mujoco.MjData", link: int, frame: Array) -> float:
+    """Largest width of the geoms of a link across it, m; 0 without geoms."""
+    corners = _corners(model, data, link) @ frame[:, 1:]
+    return float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
+
+
+def _upright(up: Array) -> Array:
+    """Rotation of the world after which `up` is +z; none where there is no gravity."""
+    if not np.any(up) or not np.any(up[:2]):
+        return np.eye(3) if up[2] >= 0 else np.diag([1.0, -1.0, -1.0])
+    return np.asarray(Rotation.align_vectors([[0, 0, 1]], [up])[0].as_matrix())
+
+
+def _frame(along: Array, up: Array) -> Array:
+    """Axes of a straight arm (columns): along it, to its left, and above it."""
+    above = up - (up @ along) * along
+    if np.linalg.norm(above) < 1e-6:
+        above = np.eye(3)[np.argmin(np.abs(along))]
+        above = above - (above @ along) * along
+    above = above / np.linalg.norm(above)
+    return np.stack([along, np.cross(above, along), above], axis=1)
+
+
+class ExportedArm(NamedTuple):
+    """An arm as files for MuJoCo.
+
+    Attributes:
+        files: text by name: `arm.xml`, `air.py` and `air.json`.
+        lost: sentences on what of the arm they do not have.
+    """
+
+    files: dict[str, str]
+    lost: tuple[str, ...]
+
+
+def export_mjcf(arm: Arm) -> ExportedArm:
+    """An arm as MJCF, and what MuJoCo does not have as passive forces in a Python file.
+
+    The bodies are `link1` and so on, each with its helium, trim weight and point masses, the joints
+    `joint1`, the end is the site `tip`. Springs pull towards 0: what moves them is the command of
+    `air.forces`, which also has drag, lift and friction (the text of `air.py` shows its use).
+
+    Raises:
+        InputError: MuJoCo is not installed.
+    """
+    mujoco = _mujoco()
+    root = Element("mujoco", model="arm")
+    # MuJoCo would write 6 digits.
+    _add(root, "compiler", angle="radian", autolimits="true")
+    _add(root, "option", gravity=[0.0, 0.0, -float(arm.gravity)], integrator="RK4")
+    _add(root[-1], "flag", contact="disable")
+    rigid, count = bodies(arm), arm.count
+    across = np.zeros((2, count)) if rigid.across is None else np.asarray(rigid.across)
+    inertia = np.zeros((6, count)) if rigid.uneven is None else np.array(rigid.uneven)
+    inertia[:3] += np.stack([rigid.axial, rigid.transverse, rigid.transverse])
+    stiffness, rubs = np.asarray(arm.spring_stiffness), _each(arm.joints.friction, count)
+    damping, armature = (_each(x, count) for x in (arm.joints.damping, arm.joints.armature))
+    length, radius = np.asarray(arm.links.length), np.asarray(arm.links.diameter) / 2
+    turn = Rotation.from_rotvec(np.array(arm.base_rotation)).as_quat(scalar_first=True)
+    body = _add(root, "worldbody")
+    for i in range(count):
+        body = _add(body, "body", name=f"link{i + 1}", pos=[length[i - 1] if i else 0.0, 0.0, 0.0])
+        if i == 0:
+            body.set("quat", _numbers(turn))
+        _add(
+            body,
+            "inertial",
+            pos=[rigid.along[i], *across[:, i]],
+            mass=[rigid.mass[i]],
+            fullinertia=inertia[:, i],
+        )
+        _add(
+            body,
+            "joint",
+            name=f"joint{i + 1}",
+            axis=arm.joints.axes[i],
+            stiffness=stiffness[i : i + 1],
+            damping=damping[i : i + 1],
+            armature=armature[i : i + 1],
+        )
+        _add(
+            body,
+            "geom",
+            type="cylinder",
+            fromto=[0.0, 0.0, 0.0, length[i], 0.0, 0.0],
+            size=radius[i : i + 1],
+            contype="0",
+            conaffinity="0",
+        )
+    _add(body, "site", name="tip", pos=[length[-1], 0.0, 0.0])
+    indent(root)
+    text = tostring(root, encoding="unicode") + "\n"
+    mujoco.MjSpec.from_string(text).compile()
+    air, factor = arm.air, float(arm.air.density) * radius * length
+    axial = 0.0 if air.axial_coefficient is None else float(air.axial_coefficient)
+    upwards = lift(arm)
+    numbers = {
+        "stiffness": stiffness.tolist(),
+        "friction": rubs.tolist(),
+        "friction_rate": float(arm.joints.friction_rate),
+        "half_length": (length / 2).tolist(),
+        "points": 0 if air.drag == "centre" else air.strip_points,
+        "drag": (float(air.drag_coefficient) * factor).tolist(),
+        "axial": (axial * factor).tolist(),
+        "lift": (np.zeros(count) if upwards is None else np.asarray(upwards)).tolist(),
+        "wind": [0.0] * 3 if air.wind is None else np.asarray(air.wind).tolist(),
+    }
+    files = {
+        "arm.xml": text,
+        AIR: Path(__file__).with_name("_mujoco_air.py").read_text(encoding="utf-8"),
+        "air.json": json.dumps(numbers, indent=1) + "\n",
+    }
+    return ExportedArm(files, tuple(_not_exported(arm)))
+
+
+def _add(parent: Element, tag: str, **attributes: Any) -> Element:
+    """An element within another one; lists are numbers with all of their digits."""
+    texts = {k: v if isinstance(v, str) else _numbers(v) for k, v in attributes.items()}
+    return SubElement(parent, tag, texts)
+
+
+def _numbers(values: Any) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _not_exported(arm: Arm) -> Iterator[str]:
+    points, hysteresis = arm.point_masses, arm.joints.hysteresis
+    absent = {
+        "added mass": arm.air.added_mass_coefficient is not None,
+        "the dependence of drag on the Reynolds number": arm.air.drag_curve != "constant",
+        "the law of drag": arm.air.law is not None,
+        "hysteresis of joints": hysteresis.rows > 0,
+        "muscles, and what balloons resist": arm.pneumatics is not None,
+        "obstacles": arm.contact is not None,
+        "drag of point masses": points is not None and points.drag_area is not None,
+    }
+    yield from (f"{name} is lost" for name, lost in absent.items() if lost)
+
+
+def _each(values: Any, count: int) -> Array:
+    """One number for each joint; zeros for what the arm leaves out."""
+    return np.broadcast_to(0.0 if values is None else np.asarray(values), (count,))
