@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 
 import giajax
+from giajax.recordings import Definition, parse_column
+from giajax.runtime.plugins import registered
+from giajax.schema import KINDS, ChannelKind, Declaration, Group, Key, Section, add_kind, with_keys
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "extending"
 RESULTS = {
@@ -39,9 +42,6 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(name,
     done = run(plugin)
     assert done.returncode == 0, done.stderr
     command = ("-m", "giajax")
-    missing = run(*command, "report", folder)
-    assert missing.returncode == 2
-    assert f"it was made with {name}.py: give --plugin {name}.py" in missing.stderr
     # The script has asked for the suspects of the law; workers import a plug-in, too.
     commands = {
         "cauchy_loss": [
@@ -49,17 +49,135 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(name,
             ("fit", "--data", f"{folder}/prediction.csv", "--loss", "CauchyLoss"),
         ],
         "coffee_filter": [
+            ("check", "filter.csv"),
+            ("fit", "--data", "filter.csv", "--out", folder, "--no-figures"),
             ("report", folder),
             ("suspects", folder),
             ("bootstrap", folder, "--size", "2", "--no-figures", "--workers", "2"),
+            ("fit", "--data", f"{folder}/prediction.csv"),
+            ("init", "filter.csv", "--force"),
         ],
     }
     again = [("report", folder), ("fit", "--data", f"{folder}/prediction.csv")]
     for words in commands.get(name, again):
         done = run(*command, *words, "--plugin", plugin)
         assert done.returncode == 0, done.stderr
+    missing = run(*command, "report", folder, "--force")
+    assert missing.returncode == 2
+    assert f"it was made with {name}.py: give --plugin {name}.py" in missing.stderr
+    if name == "coffee_filter":
+        missing = run(*command, "check", "filter.csv")
+        assert missing.returncode == 2
+        assert "or a registered model: correct it, give --plugin FILE.py" in missing.stderr
 
 
 def test_a_model_that_is_not_registered_is_refused_with_what_it_was_made_with():
     with pytest.raises(giajax.InputError, match="there is no kind of model 'balloon' here: use"):
         giajax.models.build_model("balloon", {}, {})
+
+
+class _Balloon(Group):
+    volume = Declaration(1.0, "m^3", "volume when full", key=Key("volume_m3"))
+
+
+@with_keys(_Balloon(""))
+class BalloonSection(Section):
+    """`[balloon]`."""
+
+
+def balloon(kind="balloon", **more):
+    """A class of models that is registered by nobody yet."""
+    body = {
+        "__module__": "balloons",
+        "kind": kind,
+        "channels": (ChannelKind("fullness", "balloonNN_fullness", "ratio", "output"),),
+        **dict.fromkeys(("prepare", "predict", "definition"), lambda self: None),
+        **more,
+    }
+    return type("Balloon", (giajax.AbstractModel,), body)
+
+
+@pytest.fixture
+def own_kinds():
+    """Kinds that a test registers are gone after it."""
+    before, fields = dict(KINDS), set(Definition.model_fields)
+    yield
+    KINDS.clear()
+    KINDS.update(before)
+    add_kind(KINDS["arm"])
+    for name in set(Definition.model_fields) - fields:
+        del Definition.model_fields[name]
+        Definition.model_rebuild(force=True)
+
+
+@pytest.mark.quick
+@pytest.mark.usefixtures("own_kinds")
+def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_section():
+    earlier = Definition.parse({"origin": "before"})
+    with pytest.raises(giajax.InputError, match="not in the column table"):
+        parse_column("balloon02_fullness")
+    giajax.register(balloon(section=BalloonSection))
+    assert parse_column("balloon02_fullness").index == 2
+    values = {"balloon01_fullness": [1.0, 0.9]}
+    run = giajax.Run.from_arrays([0.0, 1.0], values, definition={"balloon": {"volume_m3": 2}})
+    assert run.model == "balloon"
+    assert run.definition.section(BalloonSection).values() == {"volume": 2.0}
+    assert run.definition.contents() == {"balloon": {"volume_m3": 2}}
+    assert earlier.section(BalloonSection).values() == {}
+    assert earlier.merged_with(run.definition).contents().keys() == {"origin", "balloon"}
+    with pytest.raises(giajax.InputError, match=r"unknown key balloon.volume: did you mean"):
+        Definition.parse({"balloon": {"volume": 2}})
+    assert type(giajax.model_for([run])) is registered("model", "balloon")
+    # A cell of a notebook that is run again, and changed.
+    other = type("BalloonSection", (Section,), {})
+    giajax.register(balloon(section=other, timed=False))
+    assert giajax.Run.from_arrays(None, values).definition.section(other) == other()
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"kind": "camera"}, r"there is a section \[camera\] already: give the model another kind"),
+        (
+            {"channels": (ChannelKind("tip", "tip_x", "angle", "output"),)},
+            "there is a channel tip_x already, the length 'tip_position': declare tip_x, the angle",
+        ),
+        (
+            {"channels": (ChannelKind("force", "force", "torque", "output"),)},
+            "there is a channel force already, the force 'force'",
+        ),
+        (
+            {"channels": (ChannelKind("fullness", "fullness", "litres", "output"),)},
+            "the channel fullness is of no quantity 'litres': use time, angle",
+        ),
+    ],
+)
+def test_a_kind_that_contradicts_what_there_is_is_refused(more, said):
+    kinds, wrong = dict(KINDS), balloon(**{"kind": "wrong", **more})
+    with pytest.raises(giajax.InputError, match=said):
+        giajax.register(wrong)
+    assert kinds == KINDS
+    assert registered("model", wrong.kind) is None
+
+
+@pytest.mark.quick
+@pytest.mark.usefixtures("own_kinds")
+def test_the_model_of_a_package_is_imported_where_a_sidecar_names_it(tmp_path, monkeypatch):
+    class Entry:
+        def load(self):
+            channels = (ChannelKind("fullness", "fullness", "ratio", "output"),)
+            return balloon(kind="packaged", channels=channels)
+
+    def entries(group, name):
+        return [Entry()] if (group, name) == ("giajax.models", "packaged") else []
+
+    monkeypatch.setattr("giajax.runtime.plugins.metadata.entry_points", entries)
+    data = tmp_path / "balloon.csv"
+    data.write_text("time_s,fullness\n0,1\n1,0.9\n")
+    with pytest.raises(giajax.InputError, match="not in the column table"):
+        giajax.read_run(data)
+    data.with_suffix(".toml").write_text('model = "packaged"\n')
+    assert giajax.read_run(data).model == "packaged"
+    with pytest.raises(giajax.InputError, match=r"model = 'other' must be .*, or a registered"):
+        Definition.parse({"model": "other"})

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import giajax
+from giajax.schema import ChannelKind
 from giajax.schema.parameters import parameter
 
 GRAVITY = 9.80665
@@ -15,8 +16,9 @@ class CoffeeFilter(giajax.AbstractModel):
     """Released at rest: its fall approaches the speed at which drag carries its weight."""
 
     kind = "coffee_filter"
+    channels = (ChannelKind("height", "height", "length", "output"),)
 
-    height: jax.Array = parameter(2.0, unit="m", frozen=False, doc="height of its release")
+    release: jax.Array = parameter(2.0, unit="m", frozen=False, doc="height of its release")
     speed: jax.Array = parameter(1.0, unit="m/s", lower=0, frozen=False, doc="terminal speed")
 
     def prepare(self, run):
@@ -26,14 +28,10 @@ class CoffeeFilter(giajax.AbstractModel):
         x = GRAVITY * times / self.speed
         # log cosh x, without the overflow of cosh.
         fallen = self.speed**2 / GRAVITY * (jnp.logaddexp(x, -x) - jnp.log(2.0))
-        return dict.fromkeys(channels, self.height - fallen), jnp.all(jnp.isfinite(fallen))
+        return dict.fromkeys(channels, self.release - fallen), jnp.all(jnp.isfinite(fallen))
 
     def definition(self):
         return {}
-
-    @classmethod
-    def from_definition(cls, definition):
-        return cls()
 
 
 def main():
@@ -43,17 +41,18 @@ def main():
     fallen = 1.4**2 / GRAVITY * np.log(np.cosh(GRAVITY * times / 1.4))
     run = giajax.Run.from_arrays(
         times,
-        {"tip_z": 2.1 - fallen + noise},
-        noise={"position": 0.004},
-        definition={"free_motion": True},
+        {"height": 2.1 - fallen + noise},
+        noise={"height": 0.004},
+        definition={"model": "coffee_filter"},
     )
-    giajax.write_run("filter.csv", run.times, run.values, definition=run.definition)
+    giajax.write_run(
+        "filter.csv", times, run.values, definition=run.definition, units={"height": "cm"}
+    )
     run = giajax.read_run("filter.csv")
-    result = giajax.fit(CoffeeFilter(), run)
+    result = giajax.fit(giajax.model_for([run]), run)
     assert result.verdict.status == "adequate"
     speed = result.parameters["speed"]
     assert abs(speed.value - 1.4) < 3 * speed.standard_error
-    giajax.write_result(result, run, "filter", figures=False)
 
 
 if __name__ == "__main__":

@@ -4,16 +4,16 @@ import abc
 import dataclasses
 from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import numpy as np
 
-from ..recordings import Run, upgraded
+from ..recordings import Definition, Run, upgraded
 from ..runtime.arrays import Array, Bool, Float
 from ..runtime.plugins import registered
 from ..runtime.text import InputError, one_of
-from ..schema import KINDS
+from ..schema import KINDS, ChannelKind, Kind, Section, add_kind
 from ..schema.parameters import declared, replace
 
 # What is seen is numbers only, so that whatever draws needs neither JAX nor the model.
@@ -131,22 +131,68 @@ class AbstractModel(eqx.Module):
     asks which model it has. Everything else is optional: `giajax.models.capabilities` has one
     function for each method that a model may have, and says what holds for a model without it.
 
-    A model that a kind of `giajax.schema.KINDS` names has two class methods besides:
-    `for_runs(runs)`, the model of some runs with the constants that their sidecars state, and
-    `from_definition(definition)`, the model that `definition()` described.
+    A class of one's own that says which `channels` its runs have is a kind of runs and files once
+    it is registered (`giajax.register`): a sidecar names it, and every command takes it.
     """
 
     registered_as: ClassVar[str] = "model"
     names_of_giajax: ClassVar[Sequence[str]] = tuple(KINDS)
 
+    channels: ClassVar[tuple[ChannelKind, ...]] = ()
+    """Of a class of one's own: the rows of its runs, its own or those that other kinds have."""
+    section: ClassVar[type[Section] | None] = None
+    """Of a class of one's own: the section of its name in files, where it has one."""
+    timed: ClassVar[bool] = True
+    """Of a class of one's own: whether its runs have times."""
+
+    @classmethod
+    def on_registration(cls) -> None:
+        """Add the kind of a class that says which channels it has.
+
+        Raises:
+            InputError: a channel contradicts that of another kind, or files have a section of its
+                name.
+        """
+        if not cls.channels:
+            return
+        name = str(cls.kind)
+        if name in Definition.model_fields and name not in KINDS:
+            raise InputError(f"there is a section [{name}] already: give the model another kind")
+        others = {row.name for kind in KINDS.values() if kind.name != name for row in kind.channels}
+        own = {row.name for row in cls.channels} - others
+        measured = [row.column for row in cls.channels if row.part == "output"]
+        add_kind(
+            Kind(
+                name=name,
+                model="",
+                channels=cls.channels,
+                recognises=lambda rows: not own.isdisjoint(rows),
+                measured=" or ".join(measured),
+                sections={} if cls.section is None else {name: cls.section},
+                timed=cls.timed,
+            )
+        )
+
     @property
     @abc.abstractmethod
     def kind(self) -> str:
-        """Its name, in `giajax.schema.KINDS` where it is registered: a constant of its class."""
+        """Its name, in `giajax.schema.KINDS` where it is a kind: a constant of its class."""
+
+    @classmethod
+    def for_runs(cls, runs: Sequence[Run]) -> Self:
+        """The model of some runs, with the constants that their sidecars state, if it has any."""
+        return cls()
 
     @abc.abstractmethod
     def definition(self) -> dict[str, Any]:
         """What it is made from, its parameters apart, as plain data."""
+
+    @classmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
+        """The model that `definition()` described, with any values of its parameters."""
+        if definition:
+            raise InputError(f"{cls.__name__} has a definition, but no from_definition: write it")
+        return cls()
 
     @abc.abstractmethod
     def prepare(self, run: Run) -> Any:
@@ -170,7 +216,7 @@ class AbstractModel(eqx.Module):
 
 def model_class(kind: str) -> Any:
     """The class of a kind, or of several as `arm+joint`; imported when a model of it is built."""
-    if "+" not in kind and kind not in KINDS:
+    if "+" not in kind and kind not in AbstractModel.names_of_giajax:
         return registered(AbstractModel.registered_as, kind)
     where = "_several:SeveralModels" if "+" in kind else KINDS[kind].model
     module, _, name = where.partition(":")

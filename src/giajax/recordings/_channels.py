@@ -5,7 +5,6 @@ import re
 import shlex
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +12,15 @@ import numpy.typing as npt
 
 from ..runtime.limits import LINKS
 from ..runtime.text import InputError, one_of, shown
-from ..schema import KINDS, QUANTITIES, QUANTITY_OF_SUFFIX, ChannelKind, RecordedChannel, si_factor
+from ..schema import (
+    KINDS,
+    QUANTITIES,
+    QUANTITY_OF_SUFFIX,
+    ChannelKind,
+    RecordedChannel,
+    cached_by_kinds,
+    si_factor,
+)
 
 
 def to_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -48,27 +55,24 @@ class Naming:
         return f"column {column!r}"
 
 
-def _gathered() -> dict[str, ChannelKind]:
-    """The rows that the kinds of models declare, each once, after time."""
-    table = {"time": ChannelKind("time", "time", "time", "input")}
+@cached_by_kinds
+def column_table() -> dict[str, ChannelKind]:
+    """The rows that the kinds of models declare, each once, after time.
+
+    Columns are written in this order.
+    """
+    rows = {"time": ChannelKind("time", "time", "time", "input")}
     for row in (row for kind in KINDS.values() for row in kind.channels):
-        first = table.setdefault(row.name, row)
-        if (first.column, first.quantity, first.texts) != (row.column, row.quantity, row.texts):
-            raise TypeError(f"two kinds of models declare the row {row.name!r} in different ways")
-    return table
+        rows.setdefault(row.name, row)
+    return rows
 
 
-TABLE = _gathered()
-_PATTERNS = {
-    kind: re.compile(rf"(?P<name>{row.pattern})(?:_(?P<suffix>.+))?", re.DOTALL)
-    for kind, row in TABLE.items()
-}
-# Columns are written in this order: the order of the table.
-ROWS: tuple[str, ...] = tuple(TABLE)
-
-TEXTS: dict[str, tuple[str, ...]] = {row.name: row.texts for row in TABLE.values() if row.texts}
-NOISE_KEYS: dict[str, str] = {row.name: row.noise for row in TABLE.values() if row.noise}
-"""Key of `[noise]` that holds for a row, beside its own column."""
+@cached_by_kinds
+def _patterns() -> dict[str, re.Pattern[str]]:
+    return {
+        kind: re.compile(rf"(?P<name>{row.pattern})(?:_(?P<suffix>.+))?", re.DOTALL)
+        for kind, row in column_table().items()
+    }
 
 
 class NameMatch(NamedTuple):
@@ -81,7 +85,7 @@ class NameMatch(NamedTuple):
 
 def match_name(name: str) -> NameMatch | None:
     """The row whose channel is the longest that a name begins with; None where none is."""
-    found = ((kind, pattern.fullmatch(name)) for kind, pattern in _PATTERNS.items())
+    found = ((kind, pattern.fullmatch(name)) for kind, pattern in _patterns().items())
     matches = [
         NameMatch(kind, match, match["suffix"])
         for kind, match in found
@@ -99,7 +103,7 @@ def _is_number(digits: str) -> bool:
 
 def units_of(kind: str) -> list[str]:
     """The units that a channel of a row may be recorded in."""
-    quantity = TABLE[kind].quantity
+    quantity = column_table()[kind].quantity
     return list(QUANTITY_OF_SUFFIX if quantity is None else QUANTITIES[quantity].suffixes)
 
 
@@ -108,12 +112,12 @@ _ARTICLE = {"angle": "an", "angular_velocity": "an"}
 
 def bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
     """What is wrong with the unit of a column or channel (`what`) of a row, and what to do."""
-    quantity = TABLE[kind].quantity
-    units = units_of(kind)
+    row, units = column_table()[kind], units_of(kind)
+    quantity = row.quantity
     if units == [""]:
         return (
-            f"{what} {shown(name)} ends in {shown(suffix)}, but {TABLE[kind].column} has no unit: "
-            f"rename it with --rename {name}={TABLE[kind].column}"
+            f"{what} {shown(name)} ends in {shown(suffix)}, but {row.column} has no unit: "
+            f"rename it with --rename {name}={row.column}"
         )
     of = "it" if quantity is None else f"{_ARTICLE.get(quantity, 'a')} {quantity.replace('_', ' ')}"
     units = [unit for unit in units if unit]
@@ -150,7 +154,7 @@ def unknown_name(name: str, what: str) -> str:
     if near is not None:
         complaint = f"{what} {shown(name)} is not in the column table: did you mean {near!r}"
         return f"{complaint} ({rename})?" if what == "column" else f"{complaint}?"
-    known = ", ".join(_listed(row.column for row in TABLE.values()))
+    known = ", ".join(_listed(row.column for row in column_table().values()))
     remedy = f"rename it with {rename}, or remove it" if what == "column" else "correct the name"
     return f"{what} {shown(name)} is not in the column table ({known}): {remedy}"
 
@@ -160,7 +164,7 @@ def nearest(name: str, *, suffixes: bool = True) -> str | None:
     numbers = re.findall(r"[0-9]+", name)
     number = f"{int(numbers[0]) or 1:02d}" if numbers and len(numbers[0]) < 5 else "01"
     candidates = []
-    for kind, row in TABLE.items():
+    for kind, row in column_table().items():
         plain = row.column.replace("NN", number)
         for channel in [plain[:-1] + c for c in row.components] or [plain]:
             candidates += [
@@ -194,7 +198,7 @@ class Channel:
     camera: str | None = None
 
     @classmethod
-    @cache  # A model looks its channels up while it is traced: each name is parsed once.
+    @cached_by_kinds  # A model looks its channels up while it is traced: each name is parsed once.
     def named(cls, name: str, unit: str | None = None) -> "Channel":
         """The channel of a name.
 
@@ -217,7 +221,7 @@ class Channel:
         kind = row.kind
         if unit is None:
             units = units_of(kind)
-            quantity = QUANTITIES[TABLE[kind].quantity or "ratio"]
+            quantity = QUANTITIES[column_table()[kind].quantity or "ratio"]
             plain = [u for u in units if quantity.suffixes.get(u) == quantity.si_unit]
             unit = plain[0] if plain else units[0]
         if unit not in units_of(kind):
@@ -243,7 +247,7 @@ class Channel:
         return from_si(self.quantity, self.unit, values)
 
 
-@cache
+@cached_by_kinds
 def parse_column(name: str) -> Channel:
     """What a column name means: the longest channel that it begins with, and the unit.
 
@@ -286,14 +290,14 @@ def parse_columns(names: Iterable[str]) -> dict[str, Channel]:
 
 def order(channel: Channel) -> tuple[int, str, int, int]:
     """Sort key of the columns in a written file: kind, then camera, number and component."""
-    row = ROWS.index(channel.kind)
+    row = list(column_table()).index(channel.kind)
     return (row, channel.camera or "", channel.index or 0, channel.component or 0)
 
 
 def _channel(row: NameMatch, unit: str) -> Channel:
     groups = row.match.groupdict()
     number, component = groups.get("index"), groups.get("component")
-    of = TABLE[row.kind]
+    of = column_table()[row.kind]
     return Channel(
         row.match["name"],
         row.kind,

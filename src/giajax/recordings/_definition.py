@@ -9,14 +9,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError, create_model, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Field,
+    ValidationError,
+    create_model,
+    field_validator,
+)
 from pydantic.fields import FieldInfo
 
 from ..runtime.files import check_size, parse_toml, read_text
 from ..runtime.limits import TEXT_BYTES
+from ..runtime.plugins import registered
 from ..runtime.text import InputError, one_of, shown
-from ..schema import KINDS, FillingSection, Kind, MissionSection, Name, Prior, Section, key
-from ._channels import NOISE_KEYS, infer_model
+from ..schema import (
+    KINDS,
+    FillingSection,
+    Kind,
+    MissionSection,
+    Name,
+    Prior,
+    Section,
+    cached_by_kinds,
+    key,
+)
+from ._channels import column_table, infer_model
 from ._fit_sections import Figure, FitSettings, Noise
 from ._table import Table, read_table
 
@@ -219,10 +237,21 @@ S = TypeVar("S", bound=Section)
 
 _QUOTED = [f'"{name}"' for name in KINDS]
 
-if TYPE_CHECKING:
-    KindName = str
-else:
-    KindName = Literal[*KINDS]
+
+def _known_model(word: str) -> str:
+    if word not in KINDS:
+        registered("model", word)  # the model of a package is imported, and becomes a kind
+    if word not in KINDS:
+        raise ValueError(
+            f"= {word!r} must be {one_of(_QUOTED)}, or a registered model: correct it, give "
+            "--plugin FILE.py, or install its package"
+        )
+    return word
+
+
+KindName = Annotated[str, AfterValidator(_known_model)]
+if not TYPE_CHECKING:
+    KindName = Annotated[Literal[*KINDS] | str, AfterValidator(_known_model)]
 
 
 class _Head(Section):
@@ -244,8 +273,9 @@ class _Head(Section):
     )
 
 
-_CLASSES = {name: section for kind in KINDS.values() for name, section in kind.all_sections.items()}
-_NAMES = {section: name for name, section in _CLASSES.items()}
+def _classes() -> dict[str, type[Section]]:
+    return {name: of for kind in KINDS.values() for name, of in kind.all_sections.items()}
+
 
 if TYPE_CHECKING:
 
@@ -256,7 +286,7 @@ else:
     _Sections = create_model(
         "_Sections",
         __base__=_Head,
-        **{name: (section, Field(default_factory=section)) for name, section in _CLASSES.items()},
+        **{name: (section, Field(default_factory=section)) for name, section in _classes().items()},
     )
 
 
@@ -281,7 +311,8 @@ class Definition(_Sections):
 
     def section(self, of: type[S]) -> S:
         """The section of a class, with its defaults where it is not in the file."""
-        section: S = getattr(self, _NAMES[of])
+        # What was made before a kind was registered has no section of it.
+        section: S = getattr(self, _names()[of], None) or of()
         return section
 
     @field_validator("sha256", mode="before")
@@ -303,6 +334,7 @@ class Definition(_Sections):
         """
         check_size(data, source)
         try:
+            _names()
             return cls.model_validate(upgraded(plain(data)))
         except ValidationError as error:
             raise complaint(cls, error, source) from None
@@ -334,6 +366,19 @@ class Definition(_Sections):
     def to_toml(self) -> str:
         """TOML text of the contents, the version first; `load` reads it back."""
         return to_toml({"schema_version": self.schema_version, **self.contents()})
+
+
+@cached_by_kinds
+def _names() -> dict[type[Section], str]:
+    """The names of the sections of all kinds, each of which is then a field of a definition."""
+    fields = Definition.model_fields
+    known = {name: field.annotation for name, field in fields.items()}
+    added = {name: of for name, of in _classes().items() if known.get(name) is not of}
+    for name, of in added.items():
+        fields[name] = FieldInfo(annotation=of, default_factory=of)
+    if added:
+        Definition.model_rebuild(force=True)
+    return {of: name for name, of in _classes().items()}
 
 
 def fit_settings(
@@ -445,7 +490,7 @@ def _noise(kind: Kind, table: Table) -> list[str]:
         return []
     column = measured[-1].column
     # A column may have the name of a quantity's key: then it stands for itself.
-    known = {NOISE_KEYS.get(channel.kind) for channel in measured} - {column}
+    known = {column_table()[channel.kind].noise for channel in measured} - {column}
     lines = [_line(Noise, name) for name in Noise.model_fields if name in known]
     meaning = "one column by its name, in its unit; wins over its quantity"
     lines.append(f"# {column} = 0.01  # {meaning}")

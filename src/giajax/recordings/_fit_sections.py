@@ -27,7 +27,7 @@ from ..schema import (
     flat,
     key,
 )
-from ._channels import NOISE_KEYS, Channel, from_si, parse_column, to_si
+from ._channels import Channel, column_table, from_si, parse_column, to_si
 
 DURATION = r"^[0-9]{1,9}(\.[0-9]{1,9})?[smh]$"
 """What such a time looks like; a number without a unit is none."""
@@ -442,7 +442,7 @@ def deviation_of(noise: Noise, channel: Channel) -> float | None:
         recorded = parse_column(column) if column.startswith(channel.name) else None
         if recorded is not None and recorded.name == channel.name:
             return float(recorded.to_si(deviation))
-    key = NOISE_KEYS.get(channel.kind)
+    key = column_table()[channel.kind].noise
     if key is None or getattr(noise, key) is None:
         return None
     return float(to_si(*_unit_of(key), getattr(noise, key)))
@@ -450,7 +450,7 @@ def deviation_of(noise: Noise, channel: Channel) -> float | None:
 
 def correlated_part_of(noise: Noise, channel: Channel) -> tuple[float, float] | None:
     """The deviation (SI) and the time (s) of the correlated part, as `[noise]` states it."""
-    key = NOISE_KEYS.get(channel.kind)
+    key = column_table()[channel.kind].noise
     # A column that states its own noise is not that of its quantity.
     if any(parse_column(column).name == channel.name for column in noise.columns):
         return None

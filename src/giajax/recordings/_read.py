@@ -176,8 +176,9 @@ def read_run(
             file, the column and the row (in a CSV file, its line).
     """
     path = Path(path)
-    table = read_table(path, rename)
+    # First, because it may name a model whose columns a package declares.
     sidecar = read_sidecar(path)
+    table = read_table(path, rename)
     if sidecar.sha256 is not None and sidecar.sha256 != table.sha256:
         raise InputError(
             f"{path} has the SHA-256 {table.sha256[:12]}..., but {sidecar_path(path)} says "

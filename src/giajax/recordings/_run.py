@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..runtime.limits import DURATION_S, GAP_S, STEP_S, TIME_S, VALUE
 from ..runtime.text import InputError
 from ..schema import KINDS, Kind
-from ._channels import TEXTS, Channel, Naming, decide_model, parse_column
+from ._channels import Channel, Naming, column_table, decide_model, parse_column
 from ._definition import Definition
 from ._fit_sections import correlated_part_of, deviation_of, noise_section
 
@@ -133,7 +133,7 @@ def _check_lengths(content: "Run", naming: Naming) -> None:
 
 
 def _check_text(array: npt.NDArray[Any], channel: Channel, naming: Naming) -> None:
-    allowed = TEXTS[channel.kind]
+    allowed = column_table()[channel.kind].texts
     at = next((index for index, text in enumerate(array) if text not in allowed), None)
     if at is not None:
         raise InputError(
@@ -235,7 +235,7 @@ class Run:
             definition = definition.merged_with(Definition.parse(section, f"{name}: noise"))
         arrays = {
             channel: _text(item, f"{name}: {channel}")
-            if channel in TEXTS
+            if channels[channel].quantity == "text"
             else _numbers(item, f"{name}: {channel}")
             for channel, item in values.items()
         }

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..runtime.files import read_text
 from ..runtime.limits import RUN_BYTES
 from ..runtime.text import InputError, one_of, shown
-from ._channels import TABLE, Channel
+from ._channels import Channel, column_table
 from ._table import read_table
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
@@ -241,7 +241,7 @@ def read_beside(path: str | Path) -> Beside:
         raise InputError(f"{path} has no times: give a file with time_s")
     parts: tuple[dict[str, npt.NDArray[np.float64]], ...] = ({}, {})
     for name, column in table.values.items():
-        measured = TABLE[table.channels[name].kind].part == "output"
+        measured = column_table()[table.channels[name].kind].part == "output"
         if not measured and not np.all(np.isfinite(column)):
             raise InputError(f"{path}: {name} has empty cells: fill them in")
         parts[measured][name] = column

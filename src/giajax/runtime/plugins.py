@@ -53,6 +53,7 @@ def register(cls: Registered) -> Registered:
     again = (known.__module__, known.__qualname__) == (cls.__module__, cls.__qualname__)
     if not again or "+" in name or name in getattr(cls, "names_of_giajax", ()):
         raise InputError(f"there is a {role} '{name}' already: give yours another name")
+    getattr(cls, "on_registration", lambda: None)()
     classes[name] = cls
     return cls
 

@@ -66,6 +66,7 @@ from ._joint import (
     OscillatorSection as OscillatorSection,
 )
 from ._kind import (
+    KINDS as KINDS,
     ChannelKind as ChannelKind,
     Kind as Kind,
     Naming as Naming,
@@ -73,6 +74,8 @@ from ._kind import (
     RecordedRun as RecordedRun,
     Sections as Sections,
     SectionTemplate as SectionTemplate,
+    add_kind as add_kind,
+    cached_by_kinds as cached_by_kinds,
 )
 from ._mission import MissionSection as MissionSection, PadFile as PadFile, PadSection as PadSection
 from ._quantities_arm import (
@@ -97,5 +100,5 @@ from ._quantities_arm import (
     SUPPLY as SUPPLY,
 )
 
-KINDS: dict[str, Kind] = {kind.name: kind for kind in vars().values() if isinstance(kind, Kind)}
-"""The kinds by name; nothing else in the toolkit knows which there are."""
+for _declared in [each for each in vars().values() if isinstance(each, Kind)]:
+    add_kind(_declared)

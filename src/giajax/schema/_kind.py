@@ -1,17 +1,19 @@
-"""What a kind of model declares of itself, without JAX; `giajax.schema.KINDS` lists the kinds."""
+"""What a kind of model declares of itself, without JAX, and which kinds there are: `KINDS`."""
 
 import functools
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Protocol, TypeVar
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from ._declaration import Section
+from ..runtime.text import InputError, one_of
+from ._declaration import QUANTITIES, Section
 
 S = TypeVar("S", bound=Section)
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class RecordedChannel(Protocol):
@@ -128,7 +130,7 @@ class Kind:
     Attributes:
         name: the `model = "..."` of a sidecar.
         model: module in `giajax.models` and class, as `_arm:ArmModel`; imported when a model is
-            built, because that needs JAX.
+            built, because that needs JAX. Empty: a registered class has the name.
         channels: rows of the column table, in the order of a written file.
         recognises: whether a run with these rows is of this kind, where no sidecar says which
             it is.
@@ -199,3 +201,51 @@ class Kind:
             )
             for name, section in self.sections.items()
         ]
+
+
+KINDS: dict[str, Kind] = {}
+"""The kinds by name; nothing else in the toolkit knows which there are."""
+
+_CACHED: list[Any] = []
+
+
+def cached_by_kinds(function: Function) -> Function:
+    """A function of what the kinds declare, which keeps its results until there is another."""
+    cached: Any = functools.cache(function)
+    _CACHED.append(cached)
+    return cast(Function, cached)
+
+
+def add_kind(kind: Kind) -> None:
+    """Add a kind to `KINDS`, or put it in the place of the one of its name.
+
+    Raises:
+        InputError: a row contradicts one of another kind, or is of no quantity.
+    """
+    others = [row for other in KINDS.values() if other.name != kind.name for row in other.channels]
+    for row in kind.channels:
+        check_row(row, others)
+    KINDS[kind.name] = kind
+    for cached in _CACHED:
+        cached.cache_clear()
+
+
+def check_row(row: ChannelKind, others: Iterable[ChannelKind]) -> None:
+    """Refuse a row that is of no quantity, or of which others say something else.
+
+    Raises:
+        InputError: naming the row.
+    """
+    if row.quantity not in {None, *QUANTITIES}:
+        raise InputError(
+            f"the channel {row.column} is of no quantity {row.quantity!r}: use {one_of(QUANTITIES)}"
+        )
+    ours = row.name, row.column, row.quantity, row.texts
+    for other in others:
+        theirs = other.name, other.column, other.quantity, other.texts
+        if ours != theirs and (row.name == other.name or row.column == other.column):
+            raise InputError(
+                f"there is a channel {other.column} already, the {other.quantity} '{other.name}': "
+                f"declare {row.column}, the {row.quantity} '{row.name}', as that, or name it "
+                "otherwise"
+            )
