@@ -127,8 +127,9 @@ def test_the_arm_of_the_paper_moves_as_in_mujoco_with_its_air(tmp_path):
 
 
 def test_what_is_lost_is_said(tmp_path):
-    lost = read_mjcf(written(tmp_path, "robot.urdf", ROBOT), diameter=0.05).lost
+    arm, _, _, _, lost = read_mjcf(written(tmp_path, "robot.urdf", ROBOT), diameter=0.05)
     assert any("limits" in sentence for sentence in lost)
+    np.testing.assert_allclose(arm.joints.laws["end_stops"].upper, [3.0, np.pi])
     assert any("six points each: 1" in sentence for sentence in lost)
     several = CAPSULES.replace('stiffness="3"/>', 'stiffness="4"/>')
     read = read_mjcf(written(tmp_path, "several.xml", several))

@@ -127,6 +127,7 @@ def read_mjcf(
         inertia_transverse=lateral[:, 1],
         inertia_axial=lateral[:, 0],
         joint_axes=axes.tolist(),
+        joint_laws=("end_stops",) if np.any(model.jnt_limited) else (),
         base_rotation=Rotation.from_matrix(world @ frame).as_rotvec(),
         gravity=float(np.linalg.norm(model.opt.gravity)),
         point_masses=points,
@@ -188,8 +189,6 @@ def _lost(model: "mujoco.MjModel") -> Iterator[str]:
         yield "the medium of MuJoCo is lost: the air is giajax's"
     if np.any((model.geom_contype != 0) | (model.geom_conaffinity != 0)):
         yield "geoms touch nothing: obstacles are stated in [arm]"
-    if np.any(model.jnt_limited):
-        yield "the limits of joints are lost"
 
 
 def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, Any]:
@@ -203,6 +202,13 @@ def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, 
             lost.append(f"springs are lost: those of {name} joints have several stiffnesses")
     if np.any(model.dof_armature):
         found["joints.armature"] = np.array(model.dof_armature)
+    if np.any(model.jnt_limited):
+        limits = np.where(
+            model.jnt_limited[:, None], model.jnt_range - model.qpos0[:, None], [-np.pi, np.pi]
+        )
+        found["joints.laws.end_stops.lower"] = np.clip(limits[:, 0], -np.pi, 0)
+        found["joints.laws.end_stops.upper"] = np.clip(limits[:, 1], 0, np.pi)
+        lost.append("limits of joints are stops of giajax's stiffness (joints.laws.end_stops)")
     if np.any(model.dof_frictionloss):
         found["joints.friction"] = np.array(model.dof_frictionloss)
         lost.append("frictionloss, which sticks at rest, is a smooth friction here")
@@ -418,12 +424,12 @@ def _numbers(values: Any) -> str:
 
 
 def _not_exported(arm: Arm) -> Iterator[str]:
-    points, hysteresis = arm.point_masses, arm.joints.hysteresis
+    points = arm.point_masses
     absent = {
         "added mass": arm.air.added_mass_coefficient is not None,
         "the dependence of drag on the Reynolds number": arm.air.drag_curve != "constant",
         "the law of drag": arm.air.law is not None,
-        "hysteresis of joints": hysteresis.rows > 0,
+        "hysteresis of joints, or a law of theirs,": bool(arm.joints.further_laws.laws),
         "muscles, and what balloons resist": arm.pneumatics is not None,
         "obstacles": arm.contact is not None,
         "drag of point masses": points is not None and points.drag_area is not None,
