@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from giajax import InputError
 from giajax.fitting import ChannelFit, Correlation, RunFit
 from giajax.models import model_for
 from giajax.recordings import Run
-from giajax.report import correlation_figure, recorded_figure, residuals_figure, to_png
+from giajax.report import correlation_figure, plot, recorded_figure, residuals_figure, to_png
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -52,6 +53,23 @@ def test_one_panel_a_channel_in_the_units_of_the_file(result, run):
     assert np.array_equal(line.get_ydata(), result.predictions[0]["link04_z"])
     assert np.isnan(dots.get_ydata()).sum() == 5  # the gap is a gap
     assert ink(figure) > 0.01
+
+
+def test_a_fit_is_drawn_from_its_result_and_its_run(result, run):
+    (_, _, panel) = panels(plot(result, run))
+    np.testing.assert_allclose(panel.lines[1].get_ydata(), result.predictions[0]["link04_z"])
+    with pytest.raises(InputError, match="was not fitted: give one of"):
+        plot(result, dataclasses.replace(run, name="another"))
+
+
+def test_a_result_is_a_frame(result):
+    rows = {row["parameter"]: row for row in result.to_frame().iter_rows(named=True)}
+    assert set(rows) >= set(result.free)
+    for path, estimate in result.free.items():
+        assert rows[path]["value"] == estimate.value
+        assert rows[path]["unit"] == estimate.unit
+        assert rows[path]["standard_error"] == estimate.standard_error
+        assert (rows[path]["low"], rows[path]["high"]) == (estimate.interval or (None, None))
 
 
 def test_units_of_the_file_are_those_of_the_axis(result):

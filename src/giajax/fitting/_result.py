@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,6 +42,9 @@ from ._records import (
     rows_of_runs,
 )
 from ._steps import FitState, Reason
+
+if TYPE_CHECKING:
+    import polars as pl
 
 
 @dataclasses.dataclass(frozen=True)
@@ -235,6 +238,29 @@ class FitResult:
     def model_of(self, run: Run) -> AbstractModel:
         """The fitted model as it is for a run: of one that was fitted, with its own values."""
         return model_of_run(self.model, self.runs, run, self.config.get("ties", {}))
+
+    def to_frame(self) -> "pl.DataFrame":
+        """The parameters that are shown, in SI units, as a frame of Polars: a row for each.
+
+        `low` and `high` hold the value by 95 %; `.to_pandas()` makes it a frame of pandas.
+        """
+        import polars as pl
+
+        rows = [
+            {
+                "parameter": path,
+                "value": value,
+                "standard_error": one.standard_error,
+                "low": None if one.interval is None else one.interval[0],
+                "high": None if one.interval is None else one.interval[1],
+                "unit": one.unit,
+                "free": one.free,
+                "remark": one.remark,
+            }
+            for path, one in self.shown.items()
+            for value in np.ravel(one.value)
+        ]
+        return pl.DataFrame(rows)
 
     def to_json(self) -> str:
         """The result as JSON; what is not finite becomes null."""

@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +13,20 @@ import numpy.typing as npt
 from ..runtime.limits import DURATION_S, GAP_S, STEP_S, TIME_S, VALUE
 from ..runtime.text import InputError
 from ..schema import KINDS, Kind
-from ._channels import Channel, Naming, column_table, decide_model, parse_column
+from ._channels import (
+    Channel,
+    Naming,
+    column_table,
+    decide_model,
+    match_name,
+    parse_column,
+    parse_columns,
+)
 from ._definition import Definition
 from ._fit_sections import correlated_part_of, deviation_of, noise_section
+
+if TYPE_CHECKING:
+    import polars as pl
 
 Times = npt.NDArray[np.float64]
 
@@ -171,8 +182,8 @@ def _check_numbers(
 class Run:
     """One experiment, in SI units.
 
-    Made by `read_run` and `Run.from_arrays`, which both check the content. The arrays are
-    read-only.
+    Made by `read_run`, `Run.from_frame` and `Run.from_arrays`, which check the content. The arrays
+    are read-only.
 
     Attributes:
         name: the file's stem, or a name of the caller's.
@@ -225,11 +236,78 @@ class Run:
             >>> values = {"joint01_command": [0.0, 0.5, 0.5], "link20_z": [0.0, 0.4, 2.0]}
             >>> run = giajax.Run.from_arrays([0.0, 1.0, 2.0], values, noise={"position": 0.01})
         """
-        if not isinstance(definition, Definition):
-            definition = Definition.parse(definition or {}, f"{name}: definition")
         channels = {channel: Channel.named(channel) for channel in values}
         if "time" in channels:
             raise InputError(f"{name}: 'time' is among the values: give it as the first argument")
+        return cls._of(channels, times, values, name, noise, definition)
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: Any,
+        *,
+        units: Mapping[str, str] | None = None,
+        name: str = "run",
+        noise: Mapping[str, float] | None = None,
+        definition: Definition | Mapping[str, Any] | None = None,
+    ) -> "Run":
+        """A run from a table in memory, with the same checks as a file.
+
+        Arguments:
+            frame: of pandas or Polars, a dataset of xarray, or arrays by name. Its columns are
+                called as those of a file (`time_s`, `link06_z_m`), or without the unit
+                (`link06_z`) where `units` or, of xarray, the attribute `units` states it. An index
+                or a coordinate that has such a name is a column. NaN = not measured.
+            units: suffix of the unit (`mm`, `deg`, `s`) by name of a column.
+            name, noise, definition: as of `from_arrays`.
+
+        Raises:
+            InputError: whatever keeps the table from being a run.
+
+        Example:
+            >>> import giajax
+            >>> frame = {"time_s": [0.0, 1.0], "joint01_command_deg": [0, 5], "tip_z": [0, 40]}
+            >>> run = giajax.Run.from_frame(frame, units={"tip_z": "mm"})
+            >>> float(run.values["tip_z"][1])
+            0.04
+        """
+        given, stated = _columns(frame)
+        stated = {**stated, **(units or {})}
+        if absent := [column for column in stated if column not in given]:
+            raise InputError(f"{name}: units has {absent[0]!r}, which is no column: correct it")
+        columns = {
+            f"{column}_{stated[column]}" if column in stated else column: array
+            for column, array in given.items()
+        }
+        try:
+            named = parse_columns(columns)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
+        times = None
+        values: dict[str, Any] = {}
+        for (column, array), channel in zip(columns.items(), named.values(), strict=True):
+            if channel.quantity != "text":
+                array = channel.to_si(_numbers(array, f"{name}: {column}"))
+            if channel.kind == "time":
+                times = array
+            else:
+                values[channel.name] = array
+        channels = {channel.name: channel for channel in named.values() if channel.name in values}
+        return cls._of(channels, times, values, name, noise, definition)
+
+    @classmethod
+    def _of(
+        cls,
+        channels: dict[str, Channel],
+        times: npt.ArrayLike | None,
+        values: Mapping[str, npt.ArrayLike],
+        name: str,
+        noise: Mapping[str, float] | None,
+        definition: Definition | Mapping[str, Any] | None,
+    ) -> "Run":
+        """Check arrays in SI units, with what a sidecar would say of them."""
+        if not isinstance(definition, Definition):
+            definition = Definition.parse(definition or {}, f"{name}: definition")
         if noise:
             section = {"noise": noise_section(noise, channels)}
             definition = definition.merged_with(Definition.parse(section, f"{name}: noise"))
@@ -247,6 +325,23 @@ class Run:
             definition=definition,
             naming=Naming(name, "sample", 0, columns=False),
         )
+
+    def to_frame(self) -> "pl.DataFrame":
+        """The run as a frame of Polars, whose columns are those of its file, in their units.
+
+        `.to_pandas()` makes it one of pandas.
+        """
+        import polars as pl
+
+        columns: dict[str, Any] = {}
+        if self.times is not None:
+            columns["time_s"] = self.times
+        for name, channel in self.channels.items():
+            values = self.values[name]
+            columns[channel.column] = (
+                values.tolist() if channel.quantity == "text" else channel.from_si(values)
+            )
+        return pl.DataFrame(columns)
 
     @property
     def kind(self) -> Kind:
@@ -328,6 +423,38 @@ def build_run(
     for array in (*values.values(), *(() if times is None else (times,))):
         array.setflags(write=False)
     return run
+
+
+def _columns(frame: Any) -> tuple[dict[str, Any], dict[str, str]]:
+    """The columns of a table, and the units that it states beside their names."""
+    stated = {}
+    if hasattr(frame, "data_vars"):
+        columns = {str(name): each.values for name, each in frame.variables.items()}
+        units = {str(name): each.attrs.get("units") for name, each in frame.variables.items()}
+        stated = {name: unit for name, unit in units.items() if unit and _lacks_unit(name)}
+    elif isinstance(frame, Mapping):
+        columns = {str(name): values for name, values in frame.items()}
+    elif hasattr(frame, "columns"):
+        columns = {str(name): frame[name].to_numpy() for name in frame.columns}
+        index = getattr(frame, "index", None)
+        if index is not None and index.name is not None:
+            columns = {str(index.name): index.to_numpy(), **columns}
+    else:
+        raise InputError(
+            f"a run is not made from a {type(frame).__name__}: give a frame of pandas or Polars, "
+            "a dataset of xarray, or arrays by name"
+        )
+    for name in {"time", "time_s"} & columns.keys():
+        # Stamps of a clock, in seconds from the first.
+        if (stamps := np.asarray(columns[name])).dtype.kind in "mM":
+            columns[name] = (stamps - stamps[:1]) / np.timedelta64(1, "s")
+            stated |= {name: "s"} if name == "time" else {}
+    return columns, stated
+
+
+def _lacks_unit(name: str) -> bool:
+    row = match_name(name)
+    return row is not None and row.suffix is None
 
 
 def _numbers(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:

@@ -15,6 +15,7 @@ from ._pages import (
 )
 from ._pictures import (
     correlation_figure as correlation_figure,
+    plot as plot,
     recorded_figure as recorded_figure,
     residuals_figure as residuals_figure,
 )

@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from ..fitting import FitResult, HeldOut, RunFit
 from ..noise import by_second_differences
 from ..recordings import Channel, Run, observing, unique_names
+from ..runtime.text import InputError, one_of
 from ._style import (
     BLUE,
     GREEN,
@@ -121,6 +122,24 @@ _COLUMNS = ((1, 1), (2, 8), (3, 15), (4, _MOST_PANELS))  # columns, up to so man
 _SHADES = {False: GREY, True: VERMILLION}
 
 _COMPONENTS = {"x": BLUE, "y": VERMILLION, "z": GREEN}
+
+
+def plot(result: FitResult, run: Run) -> Figure:
+    """What a run recorded, and what a fit predicts of it, in the units of the run.
+
+    Raises:
+        InputError: as `giajax.predict`; or the run is none of the fitted ones.
+
+    Example:
+        >>> giajax.report.plot(result, run).savefig("fit.png")  # doctest: +SKIP
+    """
+    record = next((each for each in result.runs if each.name == run.name), None)
+    if record is None:
+        raise InputError(
+            f"the run {run.name} was not fitted: give one of "
+            f"{one_of(each.name for each in result.runs)}"
+        )
+    return recorded_figure(result, run, result.predict(run), record)
 
 
 def recorded_figure(
