@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
+import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -13,16 +14,18 @@ from ..mechanics.arm import Arm
 from ..recordings import Definition, Run
 from ..runtime.arrays import Array, Bool, Float, Scalar, on_device
 from ..runtime.programs import program
+from ..runtime.solvers import as_text, from_text
 from ..runtime.text import InputError
 from ..schema import INITIAL, CommandSection, InitialSection, WindSection
 from ..schema.parameters import inline, parameter
 from ..simulation import (
-    SOLVERS,
     Pressures,
     Signal,
     SimulationError,
+    Solver,
     StepsFor,
     Trajectory,
+    check_method,
     check_muscles,
     check_steps_for,
     check_wind,
@@ -30,6 +33,7 @@ from ..simulation import (
     integrate,
     is_disturbance,
     logged,
+    solver as solver_named,
 )
 from ._arm_conditions import (
     arm_variants,
@@ -228,6 +232,15 @@ def _array(value: Any) -> Any:
     return None if value is None else jnp.asarray(value, dtype=jnp.result_type(float))
 
 
+def _method(solver: Solver) -> Solver:
+    """A word as it is, and the solver of a text."""
+    return solver_named(solver) if "(" in str(solver) else solver
+
+
+def _controller(given: Any) -> Any:
+    return from_text(given) if isinstance(given, str) else given
+
+
 class ArmModel(AbstractModel):
     """Predicts the arm channels of the column table: links, tip, joint angles and rates.
 
@@ -235,7 +248,8 @@ class ArmModel(AbstractModel):
         arm: the arm; its parameters keep their own paths (`air.drag_coefficient`).
         tolerance: relative and absolute tolerance of the integrator; where it is left open (None),
             a fit chooses it, and a prediction takes 1e-7.
-        solver: one of `giajax.SOLVERS`.
+        solver: as of `giajax.simulate`.
+        stepsize_controller: likewise, an adaptive one; its tolerances are those of the model.
         max_steps: step limit of one simulation.
         sensors: what stands between the motion and its recording; exact by default.
         steps_for: what the integrator's steps are short enough for; see `giajax.simulate`.
@@ -247,17 +261,17 @@ class ArmModel(AbstractModel):
     tolerance: Scalar | None = eqx.field(default=None, converter=_array)
     # Its motion changes smoothly with the parameters; that of an explicit method, whose steps stiff
     # springs bring to the limit of stability, does not.
-    solver: str = eqx.field(default="springs5", static=True)
+    solver: Solver = eqx.field(default="springs5", static=True, converter=_method)
     max_steps: int = eqx.field(default=_MAX_STEPS, static=True)
     sensors: Sensors = inline(default_factory=Sensors)
     steps_for: StepsFor = eqx.field(default="motion", static=True)
+    stepsize_controller: diffrax.AbstractAdaptiveStepSizeController | None = eqx.field(
+        default=None, static=True, converter=_controller
+    )
 
     def __check_init__(self) -> None:
         check_steps_for(self.steps_for)
-        if self.solver not in SOLVERS:
-            raise InputError(
-                f"there is no solver '{self.solver}': use one of: {', '.join(SOLVERS)}"
-            )
+        check_method(self.solver, self.stepsize_controller)
         self.sensors.check(self.arm.links.length.shape[0])
 
     @classmethod
@@ -333,6 +347,7 @@ class ArmModel(AbstractModel):
             steps_for=self.steps_for,
             span=(inputs.times[0], end),
             pressure=inputs.pressure,
+            stepsize_controller=self.stepsize_controller,
         )
 
     def predict(self, inputs: ArmInputs, channels: tuple[str, ...]) -> Prediction:
@@ -379,7 +394,9 @@ class ArmModel(AbstractModel):
 
     def integration(self) -> Integration:
         """Its solver, and the relative and absolute tolerance."""
-        return Integration(self.solver, None if self.tolerance is None else float(self.tolerance))
+        return Integration(
+            as_text(self.solver), None if self.tolerance is None else float(self.tolerance)
+        )
 
     def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
         """The same arm with another solver or tolerance."""
@@ -407,13 +424,16 @@ class ArmModel(AbstractModel):
 
     def definition(self) -> dict[str, Any]:
         """The arm's constants, its sensors and the settings of the integrator."""
+        controller = {"stepsize_controller": as_text(self.stepsize_controller)}
+        controller = {} if self.stepsize_controller is None else controller
         return {
             "arm": arm_to_definition(self.arm),
             **sensors_to_definition(self.sensors),
             "simulation": {
-                "solver": self.solver,
+                "solver": as_text(self.solver),
                 "tolerance": self.integration().tolerance,
                 "max_steps": self.max_steps,
+                **controller,
             },
         }
 

@@ -15,6 +15,7 @@ from pydantic import (
 
 from ..runtime.limits import STARTS
 from ..runtime.plugins import registered
+from ..runtime.solvers import as_text
 from ..runtime.text import InputError, shown
 from ..schema import (
     QUANTITY_OF_SUFFIX,
@@ -289,7 +290,7 @@ class FitSettings(Section):
         "Estimate the noise in each run by itself, or (default) in all together.",
         default=False,
     )
-    solver: Name | None = key(
+    solver: Annotated[Name | None, BeforeValidator(as_text)] = key(
         "the name of a solver", "Integration method (springs5), such as tsit5."
     )
     tolerance: Positive | None = key(
@@ -372,7 +373,7 @@ class FitKeywords(TypedDict, total=False):
     loss: str | Mapping[str, Any] | LossObject | None
     noise_model: str | None
     noise_per_run: bool | None
-    solver: str | None
+    solver: Any
     tolerance: float | None
     optimiser: Any
     max_iterations: int | None

@@ -3,10 +3,15 @@
 `springs5` is a linearly implicit additive Runge-Kutta method of order 5 (docs/solvers.md).
 """
 
-from ._controller import first_turn as first_turn, step_size_controller as step_size_controller
+from ._controller import (
+    check_method as check_method,
+    first_turn as first_turn,
+    step_size_controller as step_size_controller,
+)
 from ._linearly_implicit import (
     SOLVERS as SOLVERS,
     LinearlyImplicit as LinearlyImplicit,
+    Solver as Solver,
     solver as solver,
     tableau as tableau,
 )

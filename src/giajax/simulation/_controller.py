@@ -3,6 +3,7 @@
 Where such steps are needed, and why, stands in `_disturbances`.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from ..runtime.arrays import Array, Float, Scalar
-from ._linearly_implicit import LinearlyImplicit
+from ..runtime.text import InputError
+from ._linearly_implicit import LinearlyImplicit, Solver, solver as method_named
 from ._motion import Rates
 from ._return_mapping import turns
 from ._signal import last_before
@@ -27,6 +29,7 @@ _STABLE: dict[type[diffrax.AbstractSolver], float] = {
     diffrax.Heun: 0.5,
     LinearlyImplicit: 2.0,
 }
+_LEAST = 0.5  # of other explicit methods
 
 _SHORT, _LATE = 0.05, 0.9  # turns before the one part of a step and after the other are left in it
 
@@ -47,6 +50,7 @@ def step_size_controller(
     rates: Rates | None = None,
     *,
     turns: bool = False,
+    inner: diffrax.AbstractAdaptiveStepSizeController | None = None,
 ) -> diffrax.AbstractStepSizeController:
     """Control to the tolerances that steps neither over a corner nor too far, and never hangs.
 
@@ -56,15 +60,42 @@ def step_size_controller(
         bends: times of which a step that would cross some ends at the last, s.
         rates: of what a derivative may set swinging; None where the motion alone counts.
         turns: whether the equation of motion has a corner where a joint turns round.
+        inner: what controls the steps to the tolerances in place of `diffrax.PIDController`; its
+            own are replaced.
     """
     slowness = stable = jnp.full((), jnp.inf)
     if rates is not None:
         slowness = 1 / rates.all
-        stable = _STABLE.get(type(solver), jnp.inf) / rates.explicit
-    controller = diffrax.PIDController(rtol=rtol, atol=atol)
+        implicit = isinstance(solver, diffrax.AbstractImplicitSolver)
+        stable = _STABLE.get(type(solver), jnp.inf if implicit else _LEAST) / rates.explicit
+    controller: Any = diffrax.PIDController(rtol, atol) if inner is None else inner
+    if inner is not None and {"rtol", "atol"} <= vars(inner).keys():
+        controller = dataclasses.replace(controller, rtol=rtol, atol=atol)
     return diffrax.ClipStepSizeController(
         _Careful(controller, stable, slowness, jnp.sort(bends), turns), jump_ts=corners
     )
+
+
+def check_method(solver: Solver, controller: object = None, *, slides: bool = False) -> None:
+    """Refuse (`InputError`) a solver, or a controller of its steps, that no arm moves by."""
+    method = method_named(solver)
+    known, name = isinstance(method, diffrax.AbstractAdaptiveSolver), type(method).__name__
+    if isinstance(controller, diffrax.AbstractAdaptiveStepSizeController) or controller is None:
+        if not known:
+            raise InputError(
+                f"{name} estimates no error of a step, by which its length is chosen: give "
+                f"diffrax.HalfSolver({name}()), or stepsize_controller=diffrax.StepTo(ts=...)"
+            )
+    elif not isinstance(controller, diffrax.StepTo):
+        raise InputError(
+            f"the step size controller is {type(controller).__name__}, which says no lengths of "
+            "steps: give diffrax.StepTo(ts=...), or an adaptive one such as diffrax.PIDController"
+        )
+    if slides and not known:
+        raise InputError(
+            f"{name} estimates no error of a step, which joints or links that slide add theirs to: "
+            f"give diffrax.HalfSolver({name}())"
+        )
 
 
 class _Careful(diffrax.AbstractAdaptiveStepSizeController):
@@ -78,7 +109,7 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
     rtol: Any
     atol: Any
     norm: Callable[[Any], Any]
-    controller: diffrax.PIDController
+    controller: diffrax.AbstractAdaptiveStepSizeController
     longest: Array
     slowness: Array
     bends: Array
@@ -86,7 +117,7 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
 
     def __init__(
         self,
-        controller: diffrax.PIDController,
+        controller: diffrax.AbstractAdaptiveStepSizeController,
         longest: Array,
         slowness: Array,
         bends: Float[Array, " knot"],
@@ -98,7 +129,7 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         self.longest, self.slowness, self.bends, self.turns = longest, slowness, bends, turns
 
     def wrap(self, direction: Any) -> "_Careful":
-        inner = self.controller.wrap(direction)
+        inner: Any = self.controller.wrap(direction)
         return _Careful(inner, self.longest, self.slowness, self.bends, self.turns)
 
     def init(self, terms: Any, t0: Any, *args: Any) -> tuple[Any, Any]:

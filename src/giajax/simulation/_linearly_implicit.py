@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..runtime.arrays import Array, Bool, Float, Scalar, inverse_of_positive
+from ..runtime.solvers import from_text
 from ..runtime.text import InputError
 from ._motion import Springs, pull, springs
 
@@ -296,8 +297,29 @@ SOLVERS: dict[str, Callable[[], diffrax.AbstractAdaptiveSolver]] = {
 fastest of all where they are stiff, then fully implicit ones."""
 
 
-def solver(name: str, *, reverse: bool = True) -> diffrax.AbstractAdaptiveSolver:
-    """The one of `SOLVERS` (else `InputError`), to be differentiated in reverse mode or not."""
-    if name not in SOLVERS:
-        raise InputError(f"there is no solver '{name}': use one of {', '.join(SOLVERS)}")
-    return _springs5(reverse=reverse) if name == "springs5" else SOLVERS[name]()
+Solver = str | diffrax.AbstractSolver[Any]
+"""One of `SOLVERS`, a text such as "Kvaerno4()", or what that describes."""
+
+
+def solver(named: Solver, *, reverse: bool = True) -> diffrax.AbstractSolver[Any]:
+    """The method that is named, to be differentiated in reverse mode or not.
+
+    Raises:
+        InputError: there is none of the name, or it is not for ordinary differential equations.
+    """
+    if isinstance(named, str) and named in SOLVERS:
+        return _springs5(reverse=reverse) if named == "springs5" else SOLVERS[named]()
+    method: Any = named
+    if isinstance(named, str) and "(" in named:
+        method = from_text(named)
+    if not isinstance(method, diffrax.AbstractSolver):
+        raise InputError(
+            f"there is no solver '{named}': use one of {', '.join(SOLVERS)}, or one of diffrax, "
+            "such as Kvaerno4()"
+        )
+    if method.term_structure is not diffrax.AbstractTerm:
+        raise InputError(
+            f"{type(method).__name__} is for stochastic equations or such that are split, and the "
+            "motion of an arm is neither: give another solver, such as Tsit5()"
+        )
+    return method

@@ -16,8 +16,8 @@ from ..runtime.programs import program
 from ..runtime.text import InputError
 from ..schema import ALPHA, BETA, BRAIDED, DRIVE, GEOMETRY, LOAD
 from ..schema.parameters import is_concrete
-from ._controller import step_size_controller
-from ._linearly_implicit import LinearlyImplicit, solver as solver_named
+from ._controller import check_method, step_size_controller
+from ._linearly_implicit import LinearlyImplicit, Solver, solver as solver_named
 from ._motion import Inputs, Rates, fastest_rate, motion
 from ._return_mapping import with_return_mapping
 from ._signal import Pressures, Signal, check_muscles, constant
@@ -97,6 +97,12 @@ def _undisturbed_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     return jnp.zeros(()), jnp.zeros(())
 
 
+def slides(arm: Arm) -> bool:
+    """Whether something slides, in joints or along obstacles."""
+    touches = arm.contact is not None and arm.contact.rows > 0
+    return arm.joints.further_laws.slides or touches
+
+
 T = TypeVar("T")
 
 Derivatives = Literal["forward", "reverse"]
@@ -159,12 +165,13 @@ def integrate(
     state: Float[Array, "2 joint"],
     tolerances: tuple[Scalar, Scalar],
     *,
-    solver: str,
+    solver: Solver,
     max_steps: int,
     derivatives: str,
     steps_for: str,
     span: tuple[Scalar, Scalar] | None = None,
     pressure: Pressures | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
 ) -> Trajectory:
     """The compiled core of `simulate`: no checks, and a failure is a result code.
 
@@ -173,7 +180,7 @@ def integrate(
         state: angles (rad) and rates (rad/s) at the beginning, where nothing strains the joints'
             hysteresis.
         tolerances: relative and absolute tolerance of a step.
-        solver, max_steps, derivatives, steps_for: as of `simulate`.
+        solver, max_steps, derivatives, steps_for, stepsize_controller: as of `simulate`.
         span: from when to when to integrate, s; by default from the first to the last time.
 
     Raises:
@@ -191,7 +198,7 @@ def integrate(
     corners, bends = jax.lax.stop_gradient(tuple(map(jnp.concatenate, zip(*knots, strict=True))))
     if derivatives == "forward":
         rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
-    method = solver_named(solver, reverse=derivatives == "reverse")
+    method: Any = solver_named(solver, reverse=derivatives == "reverse")
     laws = arm.joints.further_laws
     fastest = None
     if steps_for == "derivatives":
@@ -199,19 +206,22 @@ def integrate(
         implicit = isinstance(method, LinearlyImplicit)
         fastest = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
     moved = Inputs(arm, command, wind, torque, eqxi.prevbefore(end), pressure)
-    slides = laws.slides or (arm.contact is not None and arm.contact.rows > 0)
+    controller: Any = stepsize_controller
+    if not isinstance(controller, diffrax.StepTo):
+        turning = laws.rows > 0
+        controller = step_size_controller(
+            method, rtol, atol, corners, bends, fastest, turns=turning, inner=controller
+        )
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(motion),
-        with_return_mapping(method, rtol, atol, derivatives) if slides else method,
+        with_return_mapping(method, rtol, atol, derivatives) if slides(arm) else method,
         t0=begin,
         t1=end,
         dt0=None,
         y0=moved.start(state, begin),
         args=moved,
         saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=step_size_controller(
-            method, rtol, atol, corners, bends, fastest, turns=laws.rows > 0
-        ),
+        stepsize_controller=controller,
         adjoint=adjoint(derivatives),
         max_steps=max_steps,
         throw=False,
@@ -257,9 +267,10 @@ def simulate(
     torque: Signal | None = None,
     pressure: Pressures | None = None,
     initial: tuple[Any, Any] | None = None,
-    solver: str = "tsit5",
+    solver: Solver = "tsit5",
     rtol: Any = 1e-6,
     atol: Any = 1e-6,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     max_steps: int = MAX_STEPS,
     derivatives: Derivatives = "forward",
     steps_for: StepsFor = "motion",
@@ -284,10 +295,14 @@ def simulate(
         initial: angles (rad) and rates (rad/s) at the first time, each of shape (joint,).
         solver: one of `giajax.SOLVERS`; "springs5", a linearly implicit additive Runge-Kutta method
             of order 5, is the fastest wherever springs, not accuracy, limit the steps of the
-            default.
+            default. Or any solver of diffrax for ordinary differential equations, such as
+            `diffrax.Kvaerno4()`.
         rtol, atol: relative and absolute tolerance of a step, on angles (rad) and rates (rad/s);
             "springs5" weighs those (docs/solvers.md).
             The default keeps the tip of the 20 m arm within about 1e-4 m.
+        stepsize_controller: of diffrax, in place of its `PIDController` with its defaults; an
+            adaptive one, which has these tolerances, or `diffrax.StepTo` from the first to the
+            last time, which steps over corners, too.
         max_steps: step limit.
         derivatives: "forward" for few parameters (`jax.jvp`, `jax.jacfwd`); "reverse" for many
             (`jax.grad`), which keeps about the square root of the number of steps in memory.
@@ -303,8 +318,8 @@ def simulate(
         The motion at the times, with angles (rad), rates (rad/s) and how the simulation ended.
 
     Raises:
-        InputError: shapes that do not fit the arm, times that do not increase, an unknown
-            solver, mode or choice of steps.
+        InputError: shapes that do not fit the arm, times that do not increase, an unknown or
+            unsuitable solver, controller, mode or choice of steps.
         SimulationError: the simulation failed and `throw` is true.
         RuntimeError, TypeError: differentiated in the mode that was not asked for.
         TypeError: differentiated by a disturbance with `steps_for="motion"`.
@@ -324,7 +339,8 @@ def simulate(
     state = _initial_state(arm, initial)
     _check(arm, command, times, wind, torque)
     check_muscles(arm, command, pressure)
-    solver_named(solver)  # refuse a wrong name before anything is compiled
+    # What is wrong is refused before anything is compiled.
+    check_method(solver, stepsize_controller, slides=slides(arm))
     adjoint(derivatives)
     check_steps_for(steps_for)
     rtol, atol = (jnp.asarray(tolerance, dtype=dtype) for tolerance in (rtol, atol))
@@ -349,6 +365,7 @@ def simulate(
         derivatives=derivatives,
         steps_for=steps_for,
         pressure=pressure,
+        stepsize_controller=stepsize_controller,
     )
     if guarded:
         trajectory = guard_outputs(trajectory, derivatives)

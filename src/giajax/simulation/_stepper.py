@@ -13,10 +13,11 @@ from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.programs import program
 from ..runtime.text import InputError
 from ..schema.parameters import is_concrete
-from ._linearly_implicit import solver as solver_named
+from ._linearly_implicit import Solver, solver as solver_named
 from ._motion import Inputs, State, motion
 from ._return_mapping import with_return_mapping
 from ._signal import Signal, check_muscles, constant
+from ._simulate import slides
 
 
 class Moment(eqx.Module):
@@ -61,7 +62,7 @@ class Stepper(eqx.Module):
         arm: the arm.
         interval: between two decisions, s.
         steps: of the integrator in an interval.
-        solver: one of `giajax.SOLVERS`; "springs5" is stable with long steps.
+        solver: as of `simulate`; "springs5" is stable with long steps.
         tolerance: of a step, as those of `simulate`: steps are made shorter where it needs that,
             and where none is short enough the state is NaN. Its derivatives are forward ones
             alone then (`jax.jvp`, `jax.jacfwd`). None: steps are equal.
@@ -79,7 +80,7 @@ class Stepper(eqx.Module):
     arm: Arm
     interval: Scalar = eqx.field(converter=lambda x: jnp.asarray(x, dtype=jnp.result_type(float)))
     steps: int = eqx.field(static=True, default=1)
-    solver: str = eqx.field(static=True, default="springs5")
+    solver: Solver = eqx.field(static=True, default="springs5")
     tolerance: Scalar | None = eqx.field(
         converter=lambda x: None if x is None else jnp.asarray(x, dtype=jnp.result_type(float)),
         default=None,
@@ -160,9 +161,8 @@ def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | Non
         None,
         interval,
     )
-    method = solver_named(stepper.solver, reverse=stepper.tolerance is None)
-    slides = arm.joints.further_laws.slides or (arm.contact is not None and arm.contact.rows > 0)
-    if slides:
+    method: Any = solver_named(stepper.solver, reverse=stepper.tolerance is None)
+    if slides(arm):
         method = with_return_mapping(method, _TOLERANCE, _TOLERANCE, "forward")
     terms = diffrax.ODETerm(motion)
     if stepper.tolerance is not None:

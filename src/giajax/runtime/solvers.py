@@ -1,0 +1,65 @@
+"""Solvers of diffrax and optimistix as text, as Python would write them. Imports no JAX."""
+
+import ast
+import dataclasses
+import importlib
+from typing import Any
+
+from .plugins import registered
+from .text import InputError, shown
+
+_PACKAGES = ("diffrax", "optimistix")
+_LONGEST = 1_000  # of a text
+
+
+def as_text(given: Any) -> Any:
+    """A solver or controller as files state it; what is no such object as it is.
+
+    Raises:
+        InputError: its class is neither of diffrax nor registered, or a field is no number.
+    """
+    if not dataclasses.is_dataclass(given):
+        return given
+    import equinox as eqx
+
+    text = eqx.tree_pformat(given, width=_LONGEST)
+    try:
+        same = bool(from_text(text) == given)
+    except InputError:
+        same = False
+    if not same:
+        raise InputError(
+            f"no file can state the solver {shown(text)}: give one of diffrax whose fields are "
+            'numbers, or call giajax.register of its class, with registered_as = "solver" in it'
+        )
+    return text
+
+
+def from_text(text: str) -> Any:
+    """The object that a text such as `Kvaerno5(scan_kind="lax")` describes.
+
+    Raises:
+        InputError: it does not describe one, or there is no such class.
+    """
+    try:
+        return _made(ast.parse(text[:_LONGEST], mode="eval").body)
+    except (SyntaxError, ValueError, TypeError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"{shown(text)} is no solver: write it as Python does, such as Kvaerno5(), with fields "
+            "that it has"
+        ) from None
+
+
+def _made(node: ast.expr) -> Any:
+    if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
+        return ast.literal_eval(node)
+    name = node.func.id
+    modules = map(importlib.import_module, _PACKAGES)
+    found = [each for module in modules if dataclasses.is_dataclass(each := vars(module).get(name))]
+    cls: Any = found[0] if found else registered("solver", name)
+    if cls is None:
+        raise InputError(f"there is no solver {name}: give one of diffrax, or register its class")
+    positional = [_made(each) for each in node.args]
+    return cls(*positional, **{str(each.arg): _made(each.value) for each in node.keywords})

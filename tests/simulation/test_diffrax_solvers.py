@@ -1,0 +1,179 @@
+"""Any solver of diffrax, and any controller of its steps, as objects and as text."""
+
+import json
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import giajax
+from giajax import InputError
+from giajax.runtime.programs import content
+from giajax.runtime.solvers import as_text, from_text
+
+ARM = giajax.chain(1)
+TIMES = jnp.linspace(0.0, 2.0, 21)
+COMMAND = giajax.joint_ramps(1, {1: 0.5}, start=0.1, duration=0.5)
+LESS = diffrax.PIDController(1.0, 1.0, pcoeff=0.2, icoeff=0.5)
+
+
+def move(**options):
+    return giajax.simulate(ARM, COMMAND, TIMES, **options)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return move(solver="dopri8", rtol=1e-10, atol=1e-10).angles
+
+
+@pytest.mark.parametrize(
+    ("options", "within"),
+    [
+        pytest.param({"solver": diffrax.Kvaerno4()}, 2e-5, marks=pytest.mark.slow),
+        ({"solver": "Ralston()"}, 2e-5),
+        ({"solver": diffrax.ReversibleHeun()}, 2e-5),
+        ({"solver": "springs5", "stepsize_controller": LESS}, 2e-4),
+        ({"solver": diffrax.HalfSolver(diffrax.Euler()), "rtol": 1e-5, "atol": 1e-5}, 3e-3),
+        (
+            {
+                "solver": diffrax.Euler(),
+                "stepsize_controller": diffrax.StepTo(jnp.linspace(0.0, 2.0, 2001)),
+            },
+            1e-3,
+        ),
+    ],
+    ids=["implicit", "text", "reversible", "controller", "halves", "steps"],
+)
+def test_it_moves_the_arm(exact, options, within):
+    motion = move(**options)
+    assert_allclose(motion.angles, exact, atol=within)
+    assert np.max(np.abs(exact)) > 0.1
+
+
+def test_an_object_is_the_word():
+    assert_allclose(move(solver=diffrax.Dopri5()).angles, move(solver="dopri5").angles, atol=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("mode", "derivative"), [("forward", jax.jacfwd), ("reverse", jax.jacrev)])
+def test_derivatives_follow_from_the_mode(mode, derivative):
+    def end(damping, solver):
+        arm = giajax.replace(ARM, {"joints.damping": damping})
+        options = {"rtol": 1e-4, "atol": 1e-4, "derivatives": mode, "max_steps": 1000}
+        return giajax.simulate(arm, COMMAND, TIMES[:7], solver=solver, **options).angles[-1]
+
+    at = jnp.asarray(0.3)
+    found, known = (derivative(end)(at, each) for each in (diffrax.Ralston(), "tsit5"))
+    assert np.all(known)
+    assert_allclose(found, known, rtol=1e-2)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"solver": diffrax.Euler()}, "Euler estimates no error of a step, .*HalfSolver"),
+        ({"solver": diffrax.ShARK()}, "ShARK is for stochastic equations or such that are split"),
+        (
+            {"solver": diffrax.SemiImplicitEuler()},
+            "SemiImplicitEuler is for stochastic eq",
+        ),
+        ({"solver": diffrax.KenCarp4()}, "KenCarp4 is for stochastic equations or such that are"),
+        (
+            {"stepsize_controller": diffrax.ConstantStepSize()},
+            "ConstantStepSize, which says no",
+        ),
+        ({"stepsize_controller": 0.1}, "the step size controller is float, which says no lengths"),
+        ({"solver": 5}, "there is no solver '5': use one of tsit5, .* or one of diffrax"),
+        ({"solver": "euler"}, "there is no solver 'euler': use one of"),
+        ({"solver": "Euller()"}, "there is no solver Euller: give one of diffrax, or register"),
+        ({"solver": "Tsit5(order=5)"}, r"Tsit5\(order=5\)' is no solver: write it as Python does"),
+        ({"solver": "open('x').read()"}, "is no solver: write it as Python does"),
+        ({"solver": "PIDController(1, 1)"}, "there is no solver 'PIDController"),
+    ],
+)
+def test_what_does_not_work_is_refused(options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        move(**options)
+
+
+def test_what_slides_needs_an_error_of_each_step():
+    stops = {"joints.stops.strength": [0.1], "joints.stops.yield_angle": [0.05]}
+    arm = giajax.chain(1, parameters=stops)
+    steps = diffrax.StepTo(TIMES)
+    with pytest.raises(InputError, match="estimates no error of a step, which joints or links"):
+        giajax.simulate(arm, COMMAND, TIMES, solver=diffrax.Euler(), stepsize_controller=steps)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    "solver",
+    [
+        diffrax.Tsit5(),
+        diffrax.HalfSolver(diffrax.Heun()),
+        diffrax.Kvaerno5(root_finder=diffrax.VeryChord(rtol=1e-8, atol=1e-9)),
+        LESS,
+    ],
+    ids=as_text,
+)
+def test_text_is_read_as_it_was_written(solver):
+    assert from_text(as_text(solver)) == solver
+
+
+class Own(diffrax.Midpoint):
+    """A method of one's own."""
+
+
+@giajax.register
+class Known(Own):
+    """That files can name."""
+
+    registered_as = "solver"
+
+
+def test_a_model_goes_through_its_definition_with_its_solver_and_controller():
+    for solver in (diffrax.Heun(), Known()):
+        model = giajax.ArmModel(ARM, solver=solver, stepsize_controller=LESS)
+        stored = json.loads(json.dumps(model.definition()))
+        again = giajax.ArmModel.from_definition(stored)
+        assert (again.solver, again.stepsize_controller) == (solver, LESS)
+        assert content(again) == content(model)
+    assert content(again) != content(giajax.ArmModel(ARM, solver="Midpoint()"))
+    own = giajax.ArmModel(ARM, solver=Own())
+    with pytest.raises(InputError, match=r"no file can state the solver .*Own\(\).*: give one of"):
+        own.definition()
+    assert_allclose(move(solver=Own()).angles, move(solver="Midpoint()").angles, atol=0)
+
+
+@pytest.mark.slow
+def test_a_fit_by_it_is_written_and_read(tmp_path):
+    arm = giajax.chain(1)
+    command = {"joint01_command": np.sin(3 * np.asarray(TIMES))}
+    truth = giajax.ArmModel(giajax.replace(arm, {"air.drag_coefficient": 1.5}))
+    run = giajax.synthesise(
+        truth, np.asarray(TIMES), command, ["link01_z"], noise={"position": 0.001}
+    )
+    result = giajax.fit(
+        giajax.ArmModel(arm),
+        run,
+        free=["joints.damping", "air.drag_coefficient"],
+        start={"air.drag_coefficient": 0.8, "joints.damping": 0.1},
+        solver=Known(),
+        tolerance=1e-6,
+        check=False,
+    )
+    drag = result.parameters["air.drag_coefficient"]
+    assert abs(drag.value - 1.5) < 3.5 * drag.standard_error
+    assert result.config["solver"] == result.integration.solver == "Known()"
+    assert result.versions[f"{__name__.rpartition('.')[2]}.py"].startswith("sha256 ")
+    giajax.write_result(result, run, tmp_path, figures=False)
+    again = giajax.load_result(tmp_path)
+    assert again.model.solver == Known()
+    assert_allclose(again.predict(run)["link01_z"], result.predict(run)["link01_z"], atol=1e-12)
+    record = json.loads((tmp_path / "result.json").read_text().replace("Known()", "Unknown()"))
+    (tmp_path / "result.json").write_text(json.dumps(record))
+    with pytest.raises(InputError, match="there is no solver Unknown: give one of diffrax"):
+        giajax.load_result(tmp_path)
