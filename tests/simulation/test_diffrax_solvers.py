@@ -71,7 +71,6 @@ def test_derivatives_follow_from_the_mode(mode, derivative):
     assert_allclose(found, known, rtol=1e-2)
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
