@@ -11,7 +11,7 @@ from giajax.simulation import Signal
 from peers.mujoco_chain import Array, MujocoChain
 
 # Points of a link's axis at which MuJoCo is asked for the distance: a plain sum, no Gauss points.
-POINTS = 400
+POINTS = 200
 
 
 class MujocoContact(MujocoChain):

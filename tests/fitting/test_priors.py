@@ -243,6 +243,7 @@ def test_a_prior_of_the_mass_sets_the_scale_that_motion_leaves_open(tmp_path):
     model = model_for([recorded])
     links = model.arm.links
     options = {
+        "check": False,
         "free": ["links.mass", *START],
         "start": START,
         "ties": {

@@ -96,7 +96,7 @@ def test_a_pitch_run_does_not_determine_the_yaw_stiffness():
     values = giajax.predict(truth_model(), blank)["link04_z"]
     noisy = values + np.random.default_rng(1).normal(scale=0.005, size=61)
     planar = recorded({**command, "link04_z": noisy}, noise={"position": 0.005})
-    result = fit(model_for([planar]), planar)
+    result = fit(model_for([planar]), planar, check=False)
     yaw = result.parameters["joints.yaw_stiffness"]
     assert "no channel responds" in yaw.remark
     assert (yaw.value, yaw.standard_error) == (30.0, None)

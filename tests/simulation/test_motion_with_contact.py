@@ -42,7 +42,7 @@ THEIRS = {}
 )
 @pytest.mark.parametrize("solver", ["tsit5", "springs5"])
 def test_the_same_penalty_in_mujoco(box, joint, solver):
-    """With its own distances at 400 points of each link; ours has 15 in each contact."""
+    """With its own distances at 200 points of each link; ours has 15 in each contact."""
     arm = arm_at(box, pressure=200.0)
     command = joint_ramps(2, {joint: 0.6}, start=0.0, duration=0.25)
     times = np.linspace(0.0, 2.0, 41)
@@ -118,19 +118,30 @@ def test_impulse_is_what_the_motion_lost():
 
 SCENE = (
     Box(centre=[1.5, 0.0, -0.6], size=[0.8, 1.0, 0.8], rotation=[0.1, 0.2, 0.3]),
-    WallWithOpening(centre=[2.6, 0.0, 0.0], opening=[0.8, 0.7], thickness=0.1),
     Plane(centre=[0.0, 0.0, -0.9], normal=[0.1, 0.1, 1.0]),
+    WallWithOpening(centre=[2.6, 0.0, 0.0], opening=[0.8, 0.7], thickness=0.1),
 )
 
 
-@pytest.mark.parametrize("solver", ["tsit5", "springs5"])
 @pytest.mark.parametrize(
-    "count", [pytest.param(30, marks=pytest.mark.slow), pytest.param(1000, marks=pytest.mark.long)]
+    ("solver", "obstacles", "count"),
+    [
+        # With so few pairs of links and boxes, all are looked at together.
+        pytest.param("springs5", SCENE[:2], 30, marks=pytest.mark.slow),
+        pytest.param("tsit5", SCENE, 15, marks=pytest.mark.slow),
+        pytest.param("springs5", SCENE, 1000, marks=pytest.mark.long),
+        pytest.param("tsit5", SCENE, 1000, marks=pytest.mark.long),
+    ],
+    ids=["springs5-30", "tsit5-15", "springs5-1000", "tsit5-1000"],
 )
-def test_energy_does_not_grow_over_random_impacts(solver, count):
-    """Without air and joint damping: what is left is contact, with friction and damping."""
+def test_energy_does_not_grow_over_random_impacts(solver, obstacles, count):
+    """Without air and joint damping: what is left is contact, with friction and damping.
+
+    The force is the derivative of the energy as it is computed, however few the points.
+    """
     none = {"joints.damping": 0.0, "air.drag_coefficient": 0.0}
-    arm = chain(3, contact=Contact(obstacles=SCENE, friction=0.3), parameters=none)
+    contact = Contact(obstacles=obstacles, friction=0.3, points=2)
+    arm = chain(3, contact=contact, parameters=none)
     times = jnp.linspace(0.0, 1.5, 61)
     still = constant(jnp.zeros(3))
 
@@ -170,7 +181,7 @@ def test_energy_does_not_grow_over_random_impacts(solver, count):
 @pytest.mark.slow
 def test_both_solvers_agree():
     arm = resting()
-    times = np.linspace(0.0, 3.0, 31)
+    times = np.linspace(0.0, 3.0, 36)  # as many as above: the same program
     still = constant(jnp.zeros(2))
     tips = [
         simulate(arm, still, times, wind=[0.0, 1.0, 0.0], solver=solver, rtol=1e-8, atol=1e-8).tip
@@ -189,7 +200,7 @@ def test_joints_that_remember_and_links_that_stick_go_together():
         parameters={"joints.memory.strength": 0.05},
     )
     command = joint_ramps(20, {1: -0.2}, start=0.0, duration=2.0)
-    motion = simulate(arm, command, np.linspace(0.0, 12.0, 25), solver="springs5")
+    motion = simulate(arm, command, np.linspace(0.0, 5.0, 11), solver="springs5")
     found = contacts(motion)
     assert found.flattening.max() > 1e-4
     assert motion.memory is not None
