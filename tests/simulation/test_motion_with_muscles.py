@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 from giajax import InputError
 from giajax.mechanics.arm import (
+    Pneumatics,
     chain,
     damping_power,
     drag_power,
@@ -32,6 +33,7 @@ from giajax.simulation import (
 LINKS = 3
 DAMPED = {"joints.damping": 0.6, "joints.yaw_stiffness": 5.0}
 EXACT = {"rtol": 1e-10, "atol": 1e-10}
+commanded = eqx.filter_jit(Pneumatics.commanded)
 
 
 def arm_with(parameters=DAMPED, links=LINKS, muscles="pitch"):
@@ -40,7 +42,7 @@ def arm_with(parameters=DAMPED, links=LINKS, muscles="pitch"):
 
 def supplied(arm, command, joints=None):
     """The pressures that hold commanded angles (rad) at all times."""
-    pressures = arm.pneumatics.commanded(jnp.asarray(command))
+    pressures = commanded(arm.pneumatics, jnp.asarray(command))
     signal = steps([0.0], [np.asarray(pressures).ravel()])
     return Pressures(signal, arm.pneumatics.joints if joints is None else joints)
 
@@ -118,7 +120,7 @@ def test_pressures_lag_by_an_exponential(solver):
     command = joint_steps(LINKS, {1: 0.4, 3: -0.3}, time=0.5)
     times = np.linspace(0.0, 4.0, 9)
     motion = simulate(arm, command, times, solver=solver, rtol=1e-8, atol=1e-8)
-    before, after = (arm.pneumatics.commanded(command(jnp.asarray(t))) for t in (0.0, 1.0))
+    before, after = (commanded(arm.pneumatics, command(jnp.asarray(t))) for t in (0.0, 1.0))
     left = np.exp(-np.maximum(times - 0.5, 0) / 0.4)[:, None, None]
     expected = np.asarray(after) + left * np.asarray(before - after)
     assert_allclose(motion.pressures, expected, rtol=0, atol=1.0)  # Pa
@@ -185,8 +187,8 @@ def test_derivatives_from_rest_are_slopes(solver, lag):
     arm = arm_with(DAMPED | ({} if lag is None else {"drive.lag": lag}))
     if lag is not None:
         paths = [*paths, "drive.lag"]
-    pressures = np.asarray(arm.pneumatics.commanded(jnp.asarray([0.5, 0.0, -0.9]))).ravel()
-    zero = np.asarray(arm.pneumatics.commanded(jnp.zeros(LINKS))).ravel()
+    pressures = np.asarray(commanded(arm.pneumatics, jnp.asarray([0.5, 0.0, -0.9]))).ravel()
+    zero = np.asarray(commanded(arm.pneumatics, jnp.zeros(LINKS))).ravel()
     pressure = Pressures(logged([0.0, 0.5, 1.0], [zero, zero, pressures]), (1, 3))
     times, command = np.linspace(0.0, 3.0, 7), joint_ramps(LINKS, {2: 0.3})
     start = jnp.asarray([1.0, 1e4, 0.18, 2.0, 0.01, 1.2, lag or 0.0][: len(paths)])
