@@ -103,8 +103,16 @@ def test_what_slides_needs_an_error_of_each_step():
     stops = {"joints.stops.strength": [0.1], "joints.stops.yield_angle": [0.05]}
     arm = giajax.chain(1, parameters=stops)
     steps = diffrax.StepTo(TIMES)
-    with pytest.raises(InputError, match="estimates no error of a step, which joints or links"):
+    with pytest.raises(InputError, match=r"Euler estimates no error .* where nothing slides"):
         giajax.simulate(arm, COMMAND, TIMES, solver=diffrax.Euler(), stepsize_controller=steps)
+
+
+def test_given_steps_are_those_of_the_times():
+    steps = diffrax.StepTo(TIMES[:-1])
+    with pytest.raises(InputError, match=r"StepTo is over \[0.0, 1.9.*\] s, and the times over"):
+        move(stepsize_controller=steps)
+    with pytest.raises(InputError, match="StepTo has the times of one run: give an adaptive"):
+        giajax.ArmModel(ARM, stepsize_controller=steps)
 
 
 @pytest.mark.quick

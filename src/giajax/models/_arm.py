@@ -238,6 +238,8 @@ def _method(solver: Solver) -> Solver:
 
 
 def _controller(given: Any) -> Any:
+    if isinstance(given, diffrax.StepTo):
+        raise InputError("StepTo has the times of one run: give an adaptive controller")
     return from_text(given) if isinstance(given, str) else given
 
 

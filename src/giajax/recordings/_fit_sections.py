@@ -1,7 +1,7 @@
 """The sections of measuring and fitting: noise, a fit, and the figures that it must reach."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypedDict, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, TypedDict, get_args
 
 import numpy.typing as npt
 from pydantic import (
@@ -157,13 +157,6 @@ _LOSS = (
     '"linear", "huber", "soft_l1", "student_t", a registered loss, or a table such as '
     '{ name = "student_t", degrees_of_freedom = 4 }'
 )
-
-
-class LossObject(Protocol):
-    """What settings know of a `giajax.fitting.AbstractLoss`."""
-
-    def contents(self) -> str | dict[str, Any]:
-        """As a file states it."""
 
 
 def _known_loss(said: Any) -> Any:
@@ -370,7 +363,7 @@ class FitKeywords(TypedDict, total=False):
     ties: Mapping[str, str] | None
     per_run: Sequence[str] | None
     groups: Mapping[str, Sequence[Sequence[str]]] | None
-    loss: str | Mapping[str, Any] | LossObject | None
+    loss: Any
     noise_model: str | None
     noise_per_run: bool | None
     solver: Any

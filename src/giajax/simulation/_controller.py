@@ -79,22 +79,20 @@ def step_size_controller(
 def check_method(solver: Solver, controller: object = None, *, slides: bool = False) -> None:
     """Refuse (`InputError`) a solver, or a controller of its steps, that no arm moves by."""
     method = method_named(solver)
-    known, name = isinstance(method, diffrax.AbstractAdaptiveSolver), type(method).__name__
-    if isinstance(controller, diffrax.AbstractAdaptiveStepSizeController) or controller is None:
-        if not known:
-            raise InputError(
-                f"{name} estimates no error of a step, by which its length is chosen: give "
-                f"diffrax.HalfSolver({name}()), or stepsize_controller=diffrax.StepTo(ts=...)"
-            )
-    elif not isinstance(controller, diffrax.StepTo):
+    fixed, name = isinstance(controller, diffrax.StepTo), type(method).__name__
+    adaptive = controller is None or isinstance(
+        controller, diffrax.AbstractAdaptiveStepSizeController
+    )
+    if not (fixed or adaptive):
         raise InputError(
             f"the step size controller is {type(controller).__name__}, which says no lengths of "
             "steps: give diffrax.StepTo(ts=...), or an adaptive one such as diffrax.PIDController"
         )
-    if slides and not known:
+    if (adaptive or slides) and not isinstance(method, diffrax.AbstractAdaptiveSolver):
         raise InputError(
-            f"{name} estimates no error of a step, which joints or links that slide add theirs to: "
-            f"give diffrax.HalfSolver({name}())"
+            f"{name} estimates no error of a step, by which its length is chosen: give "
+            f"diffrax.HalfSolver({name}()), or where nothing slides "
+            "stepsize_controller=diffrax.StepTo(ts=...)"
         )
 
 

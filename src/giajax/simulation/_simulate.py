@@ -337,7 +337,7 @@ def simulate(
     if wind is not None and not isinstance(wind, Signal):
         wind = constant(wind)
     state = _initial_state(arm, initial)
-    _check(arm, command, times, wind, torque)
+    _check(arm, command, times, wind, torque, stepsize_controller)
     check_muscles(arm, command, pressure)
     # What is wrong is refused before anything is compiled.
     check_method(solver, stepsize_controller, slides=slides(arm))
@@ -392,7 +392,12 @@ def _initial_state(arm: Arm, initial: tuple[Any, Any] | None) -> Float[Array, "2
 
 
 def _check(
-    arm: Arm, command: Signal, times: Array, wind: Signal | None, torque: Signal | None
+    arm: Arm,
+    command: Signal,
+    times: Array,
+    wind: Signal | None,
+    torque: Signal | None,
+    controller: Any,
 ) -> None:
     if command.width != arm.count:
         raise InputError(
@@ -410,6 +415,12 @@ def _check(
             "give one column per joint"
         )
     check_wind(arm, wind)
+    if isinstance(controller, diffrax.StepTo) and is_concrete((times, controller.ts)):
+        ends = [[float(each[0]), float(each[-1])] for each in (controller.ts, times)]
+        if ends[0] != ends[1]:
+            raise InputError(
+                f"StepTo is over {ends[0]} s, and the times over {ends[1]}: let both agree"
+            )
     if times.ndim != 1 or times.shape[0] < 2:
         raise InputError(f"times has shape {times.shape}: give at least two times in one row")
     if is_concrete(times) and not np.all(np.diff(np.asarray(times)) > 0):
