@@ -131,6 +131,9 @@ def test_what_is_lost_is_said(tmp_path):
     assert any("limits" in sentence for sentence in lost)
     np.testing.assert_allclose(arm.joints.laws["end_stops"].upper, [3.0, np.pi])
     assert any("six points each: 1" in sentence for sentence in lost)
+    beyond = ROBOT.replace('lower="-3"', 'lower="1"')
+    lost = read_mjcf(written(tmp_path, "beyond.urdf", beyond), diameter=0.05).lost
+    assert "a range without 0 in it is extended to 0" in lost
     several = CAPSULES.replace('stiffness="3"/>', 'stiffness="4"/>')
     read = read_mjcf(written(tmp_path, "several.xml", several))
     assert any("several stiffnesses" in sentence for sentence in read.lost)

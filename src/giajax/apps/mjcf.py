@@ -209,6 +209,8 @@ def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, 
         found["joints.laws.end_stops.lower"] = np.clip(limits[:, 0], -np.pi, 0)
         found["joints.laws.end_stops.upper"] = np.clip(limits[:, 1], 0, np.pi)
         lost.append("limits of joints are stops of giajax's stiffness (joints.laws.end_stops)")
+        if np.any((limits[:, 0] > 0) | (limits[:, 1] < 0)):
+            lost.append("a range without 0 in it is extended to 0")
     if np.any(model.dof_frictionloss):
         found["joints.friction"] = np.array(model.dof_frictionloss)
         lost.append("frictionloss, which sticks at rest, is a smooth friction here")
