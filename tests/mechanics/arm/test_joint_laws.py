@@ -11,9 +11,9 @@ import giajax
 from giajax import InputError
 from giajax.mechanics.arm import (
     AbstractJointLaw,
+    CoulombFriction,
     Damper,
     EndStops,
-    Friction,
     Hardening,
     JointLaws,
     JointState,
@@ -36,7 +36,7 @@ ONE = jnp.asarray(1.1)
 LAWS = {
     "spring": Spring(ONE),
     "damper": Damper(ONE),
-    "friction": Friction(ONE, jnp.asarray(0.05)),
+    "friction": CoulombFriction(ONE, jnp.asarray(0.05)),
     "dahl": Memory(strength=0.2),
     "bouc-wen": Memory(strength=0.2, yield_angle=0.03, nu=2.5, delta=0.3),
     "elastic": Memory(strength=0.2, yield_angle=0.03, nu=6.0, delta=0.5),

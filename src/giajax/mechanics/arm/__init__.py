@@ -55,9 +55,9 @@ from ._inverse_dynamics import (
 )
 from ._joint_laws import (
     AbstractJointLaw as AbstractJointLaw,
+    CoulombFriction as CoulombFriction,
     Damper as Damper,
     EndStops as EndStops,
-    Friction as Friction,
     Hardening as Hardening,
     JointHysteresis as JointHysteresis,
     JointLaws as JointLaws,

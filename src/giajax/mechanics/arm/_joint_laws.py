@@ -266,7 +266,7 @@ class Damper(AbstractJointLaw):
         return jnp.zeros_like(at.rates)
 
 
-class Friction(AbstractJointLaw):
+class CoulombFriction(AbstractJointLaw):
     """Coulomb friction f tanh(v / v0), smooth at rest.
 
     Attributes:

@@ -12,7 +12,14 @@ from ...schema import AIR, BUOYANCY, CONTACT, JOINTS, LINKS, POINT_MASSES
 from ...schema.parameters import inline, is_concrete, parameter
 from ..obstacles import AbstractObstacle
 from ._drag import AbstractDragLaw, CentreDrag, StripDrag
-from ._joint_laws import AbstractJointLaw, Damper, Friction, JointHysteresis, JointLaws, PerJoint
+from ._joint_laws import (
+    AbstractJointLaw,
+    CoulombFriction,
+    Damper,
+    JointHysteresis,
+    JointLaws,
+    PerJoint,
+)
 
 Axis = tuple[float, float, float]
 
@@ -199,7 +206,7 @@ class Joints(eqx.Module):
         damper = Damper(self.damping)
         if self.friction is None:
             return (damper,)
-        return damper, Friction(self.friction, self.friction_rate)
+        return damper, CoulombFriction(self.friction, self.friction_rate)
 
     @property
     def further_laws(self) -> JointLaws:
