@@ -28,6 +28,7 @@ from giajax.mechanics.arm import (
     kinetic_energy,
     potential_energy,
 )
+from giajax.runtime.plugins import sources_of
 from giajax.schema.parameters import declared, default_free, parameter, replace
 from giajax.simulation import constant
 from giajax.testing import check_joint_law
@@ -146,6 +147,8 @@ def test_an_arm_with_laws_goes_through_its_definition():
     again = giajax.ArmModel.from_definition(model.definition())
     assert eqx.tree_equal(again.arm.joints, arm.joints)
     assert "joint_laws" not in giajax.ArmModel(chain(2)).definition()["arm"]
+    # A result says what file it was made with.
+    assert "test_joint_laws.py" in sources_of(model)
 
     class Local(Creep):
         """Nobody has registered it."""

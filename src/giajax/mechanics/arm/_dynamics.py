@@ -214,9 +214,11 @@ def hysteresis_power(
 
     With that of laws of one's own, to which the command may matter: 0 by default.
     """
+    laws = arm.joints.further_laws
+    if not laws.laws:
+        return jnp.zeros(())
     command = jnp.zeros_like(angles) if command is None else command
-    lost = arm.joints.further_laws.dissipation(JointState(angles, rates, command, memory))
-    return -lost.sum()
+    return -laws.dissipation(JointState(angles, rates, command, memory)).sum()
 
 
 def muscle_power(

@@ -4,7 +4,7 @@ import abc
 import functools
 import operator
 from collections.abc import Callable, Iterator
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -137,8 +137,11 @@ def _slope(of: Callable[[Array], Array], at: Array) -> Array:
     return jax.jvp(of, (at,), (jnp.ones_like(at),))[1]
 
 
+T = TypeVar("T")
+
+
 class JointLaws(AbstractJointLaw):
-    """The sum of laws; its states are theirs, law after law."""
+    """The sum of laws, at least one; its states are theirs, law after law."""
 
     laws: tuple[AbstractJointLaw, ...]
 
@@ -161,28 +164,23 @@ class JointLaws(AbstractJointLaw):
 
     def torque(self, at: JointState) -> PerJoint:
         """Torque on each joint, N m."""
-        torque: Array = self._sum("torque", at)
-        return torque
+        return self._sum(at, lambda law, own: law.torque(own))
 
     def energy(self, at: JointState) -> PerJoint:
         """Energy that is stored in each joint, J."""
-        energy: Array = self._sum("energy", at)
-        return energy
+        return self._sum(at, lambda law, own: law.energy(own))
 
     def slopes(self, at: JointState) -> tuple[PerJoint, PerJoint]:
         """Stiffness (N m/rad) and damping (N m s/rad) of all together."""
-        stiffness, damping = self._sum("slopes", at)
-        return stiffness, damping
+        return self._sum(at, lambda law, own: law.slopes(own))
 
     def stiffest(self, at: JointState) -> PerJoint:
         """Bound of the stiffness of all together, N m/rad."""
-        stiffest: Array = self._sum("stiffest", at)
-        return stiffest
+        return self._sum(at, lambda law, own: law.stiffest(own))
 
     def dissipation(self, at: JointState) -> PerJoint:
         """Power that becomes heat, W."""
-        dissipation: Array = self._sum("dissipation", at)
-        return dissipation
+        return self._sum(at, lambda law, own: law.dissipation(own))
 
     def unstrained(self, angles: PerJoint) -> States:
         """The states of joints that were never moved from these angles (rad)."""
@@ -191,41 +189,33 @@ class JointLaws(AbstractJointLaw):
 
     def rate(self, at: JointState) -> States:
         """How fast the states change, 1/s."""
-        return self._joined(at.states, lambda law, own: law.rate(at._replace(states=own)))
+        rates = [law.rate(own) for law, own in self._each(at) if law.rows]
+        return jnp.concatenate(rates) if rates else at.states
 
     def return_mapped(self, angles: PerJoint, states: States) -> States:
         """The states after a motion to these angles (rad) in which no joint turned round."""
-        return self._joined(states, lambda law, own: law.return_mapped(angles, own))
+        parts = self._each(JointState(angles, angles, angles, states))
+        mapped = [law.return_mapped(angles, own.states) for law, own in parts if law.rows]
+        return jnp.concatenate(mapped) if mapped else states
 
     def state_slopes(self, at: JointState) -> tuple[States, States, States]:
         """How torques and states depend on each other, law after law."""
-        parts = [
-            law.state_slopes(at._replace(states=own))
-            for law, own in self._each(at.states)
-            if law.rows
-        ]
+        parts = [law.state_slopes(own) for law, own in self._each(at) if law.rows]
         torque, filling, forgetting = map(jnp.concatenate, zip(*parts, strict=True))
         return torque, filling, forgetting
 
-    def _each(self, states: States) -> Iterator[tuple[AbstractJointLaw, States]]:
+    def _each(self, at: JointState) -> Iterator[tuple[AbstractJointLaw, JointState]]:
         row = 0
         for law in self.laws:
             # Without an operation where they are all.
             own = slice(row, row + law.rows)
-            yield law, states if law.rows == len(states) else states[own]
+            yield law, at if law.rows == self.rows else at._replace(states=at.states[own])
             row += law.rows
 
-    def _sum(self, method: str, at: JointState) -> Any:
-        parts = [
-            getattr(law, method)(at._replace(states=own)) for law, own in self._each(at.states)
-        ]
-        if not parts:
-            return jnp.zeros_like(at.rates)
-        return jax.tree.map(lambda *each: functools.reduce(operator.add, each), *parts)
-
-    def _joined(self, states: States, of: Callable[[AbstractJointLaw, States], States]) -> States:
-        parts = [of(law, own) for law, own in self._each(states) if law.rows]
-        return jnp.concatenate(parts) if parts else states
+    def _sum(self, at: JointState, of: Callable[[AbstractJointLaw, JointState], T]) -> T:
+        parts = [of(law, own) for law, own in self._each(at)]
+        added: T = jax.tree.map(lambda *each: functools.reduce(operator.add, each), *parts)
+        return added
 
 
 class Spring(AbstractJointLaw):
@@ -286,6 +276,9 @@ class CoulombFriction(AbstractJointLaw):
         return jnp.zeros_like(at.rates)
 
 
+_each_joint = functools.partial(parameter, lower=0, each=True, per="joint")
+
+
 @register
 class Hardening(AbstractJointLaw):
     """A spring that becomes stiffer with its deflection d from the commanded angle.
@@ -296,24 +289,11 @@ class Hardening(AbstractJointLaw):
 
     kind: ClassVar[str] = "hardening"
 
-    cubic: Each = parameter(
-        1.0,
-        unit="N m/rad^3",
-        lower=0,
-        upper=1e4,
-        frozen=False,
-        each=True,
-        per="joint",
-        doc="torque of a joint by the cube of its deflection from the command",
+    cubic: Each = _each_joint(
+        1.0, unit="N m/rad^3", upper=1e4, frozen=False, doc="torque by the cube of the deflection"
     )
-    quintic: Each = parameter(
-        0.0,
-        unit="N m/rad^5",
-        lower=0,
-        upper=1e4,
-        each=True,
-        per="joint",
-        doc="torque of a joint by the fifth power of its deflection from the command",
+    quintic: Each = _each_joint(
+        0.0, unit="N m/rad^5", upper=1e4, doc="torque by the fifth power of the deflection"
     )
 
     def torque(self, at: JointState) -> PerJoint:
@@ -339,50 +319,16 @@ class EndStops(AbstractJointLaw):
 
     kind: ClassVar[str] = "end_stops"
 
-    lower: Each = parameter(
-        -1.05,
-        unit="rad",
-        lower=-np.pi,
-        upper=0,
-        each=True,
-        per="joint",
-        doc="angle at which a joint meets its lower stop",
+    lower: Each = _each_joint(
+        -1.05, unit="rad", lower=-np.pi, upper=0, doc="angle of the lower stop"
     )
-    upper: Each = parameter(
-        1.05,
-        unit="rad",
-        lower=0,
-        upper=np.pi,
-        each=True,
-        per="joint",
-        doc="angle at which a joint meets its upper stop",
+    upper: Each = _each_joint(1.05, unit="rad", upper=np.pi, doc="angle of the upper stop")
+    stiffness: Each = _each_joint(100.0, unit="N m/rad", upper=1e5, doc="stiffness of the stops")
+    damping: Each = _each_joint(
+        0.0, unit="s/rad", upper=1e3, doc="by how much stops press harder the faster they close"
     )
-    stiffness: Each = parameter(
-        100.0,
-        unit="N m/rad",
-        lower=0,
-        upper=1e5,
-        each=True,
-        per="joint",
-        doc="stiffness of a joint's stops",
-    )
-    damping: Each = parameter(
-        0.0,
-        unit="s/rad",
-        lower=0,
-        upper=1e3,
-        each=True,
-        per="joint",
-        doc="by how much a joint's stops press harder the faster they close",
-    )
-    blend: Each = parameter(
-        0.02,
-        unit="rad",
-        lower=1e-6,
-        upper=1,
-        each=True,
-        per="joint",
-        doc="angle within which a joint's stops reach their stiffness",
+    blend: Each = _each_joint(
+        0.02, unit="rad", lower=1e-6, upper=1, doc="angle within which stops reach their stiffness"
     )
 
     def torque(self, at: JointState) -> PerJoint:

@@ -20,9 +20,9 @@ from ._joint_laws import AbstractJointLaw, JointState, States
 # Half the way of each motion to and fro (rad), and how often it is made in a second.
 _MOTIONS = ((1e-3, 1.0), (0.03, 0.3), (0.4, 2.0), (1.5, 0.5), (0.0, 0.0), (0.3, 0.0))
 _SAMPLES, _CYCLES = 96, 2.0
-_STEP = 1e-6  # of differences, in rad, s and so on
+_STEP = 1e-7  # of differences, in rad, s and so on
 _MOST_STEPS = 1000  # of the states between two samples; what is quicker is tried where it got to
-_TOLERANCE = 1e-2
+_SLOPES, _POWERS = 1e-2, 1e-3  # tolerances
 
 
 def check_joint_law(law: AbstractJointLaw, joints: int = 7) -> None:
@@ -173,9 +173,10 @@ def _found(law: AbstractJointLaw, at: JointState) -> dict[str, Any]:
             for name, value in there.items()
         }
 
-    angles = at.angles + _STEP * at.rates
-    states = law.return_mapped(angles, at.states + _STEP * here["rate"])
-    after = at._replace(angles=angles, states=states)
+    after = at._replace(angles=at.angles + _STEP * at.rates)
+    rate = law.rate(after._replace(states=at.states + _STEP * here["rate"]))
+    states = at.states + _STEP / 2 * (here["rate"] + rate)
+    after = after._replace(states=law.return_mapped(after.angles, states))
     return {
         "values": here,
         "slopes": {name: slopes(name) for name in given},
@@ -216,16 +217,16 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
             slope, *slopes = (part[method] for part in parts)
             what = f"has a derivative by its {given} that is not"
             refuse(method, f"{what} finite", ~np.isfinite(slope), finite)
-            wrong = ~between(slope, slopes, _TOLERANCE * largest(slope, value))
+            wrong = ~between(slope, slopes, _SLOPES * largest(slope, value))
             refuse(method, f"{what} that of differences", wrong, "correct its rule, or remove it")
     for given, falling in zip(("angles", "rates"), found["falling"], strict=True):
         slopes = [part["torque"] for part in found["slopes"][given][1:]]
-        wrong = ~between(-falling, slopes, _TOLERANCE * largest(*slopes, found["values"]["torque"]))
+        wrong = ~between(-falling, slopes, _SLOPES * largest(*slopes, found["values"]["torque"]))
         what = f"is not how the torque falls with the {given}"
         refuse("slopes", what, wrong, "correct it, or leave it to derivatives")
     taken, stored = found["taken"], found["stored"]
     lost, size = taken - stored, np.abs(taken) + np.abs(stored)
-    margin = _TOLERANCE * size + 1e-6 * largest(size) + 1e-8 * largest(found["values"]["energy"])
+    margin = _POWERS * size + 1e-6 * largest(size) + 1e-8 * largest(found["values"]["energy"])
     if law.passive:
         what = f"gives more than {name}.energy had stored, and would make energy,"
         refuse("torque", what, lost < -margin, "correct one of them, or state passive = False")
