@@ -13,9 +13,7 @@ from giajax.schema.parameters import parameter
 class SphereDrag(AbstractDragLaw):
     """Of a ball in a link as long as it is wide, by the area that the ball shows to the air."""
 
-    coefficient: jax.Array = parameter(
-        0.6, unit="", lower=0, frozen=False, doc="C_D of a ball, by its frontal area"
-    )
+    coefficient: jax.Array = parameter(0.6, unit="", lower=0, frozen=False, doc="C_D of a ball")
     points = 0
 
     def force(self, stream):
@@ -45,6 +43,8 @@ def main():
     still = {"joint01_command": 0 * times, "joint02_command": 0 * times}
     names = ["link02_x", "link02_y", "link02_z"]
     run = giajax.synthesise(truth, times, still, names, noise={"position": 0.02})
+    giajax.write_run("leaning.csv", run.times, run.values, definition=run.definition)
+    run = giajax.read_run("leaning.csv")
     # It leans until drag and what lifts are along the tether, whose own part is small.
     drag = 0.5 * 1.204 * 0.47 * np.pi / 4 * ball**2 * wind**2
     expected = np.arctan2(drag, 9.80665 * float(net_lift(arm)[1]))
