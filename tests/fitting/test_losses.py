@@ -201,6 +201,40 @@ class Listed(Cauchy):
     width: object = (1.0, 2.0)
 
 
+@giajax.register
+class Named(AbstractLoss):
+    """With a parameter that files have no place for."""
+
+    name: float = 2.0
+
+    def rho(self, r):
+        return r**2
+
+
+@giajax.register
+class Powers(AbstractLoss):
+    """With a parameter that counts."""
+
+    terms: int = 2
+
+    def rho(self, r):
+        return 4 * sum(((r / 2) ** 2 / (1 + (r / 2) ** 2)) ** k for k in range(1, 1 + self.terms))
+
+
+def test_parameters_are_numbers_of_python_or_numpy_and_keep_their_type():
+    for number in (np.float32(3), np.int64(3), 3.0):
+        stated = StudentT(number).contents()
+        assert type(stated["degrees_of_freedom"]) in (int, float)
+        assert loss_of(stated) == StudentT(3.0)
+    assert type(loss_of({"name": "Powers", "terms": 3}).terms) is int
+    check_loss(Powers(terms=3))
+    for wrong in (StudentT(jnp.asarray(3.0)), Cauchy(jnp.asarray(3.0))):
+        with pytest.raises(InputError, match="which no file can state: give a finite number"):
+            check_loss(wrong)
+    with pytest.raises(InputError, match=r"StudentT.* is no loss: give an object"):
+        check_loss(StudentT)
+
+
 @pytest.mark.parametrize(
     ("said", "sentence"),
     [
@@ -208,6 +242,9 @@ class Listed(Cauchy):
         (3, "fit.loss = 3 must be"),
         ({"degrees_of_freedom": 3}, "fit.loss = .* must be"),
         (Local(), "the loss Local is not registered, and a result could not name it"),
+        (StudentT, r"fit.loss = .*StudentT.* must be \"linear\""),
+        (Named(), "the loss Named has a parameter called name, as files call the loss itself"),
+        ({"name": "student_t", "degrees_of_freedom": "3"}, "the loss student_t cannot be made"),
         (Listed(), r"the loss Listed has width = \(1.0, 2.0\), which no file can state"),
         ({"name": "student_t", "nu": 3}, r"the loss student_t cannot be made \(.*'nu'\): give num"),
         ({"name": "huber", "k": "wide"}, "the loss huber cannot be made"),
@@ -228,6 +265,13 @@ CASES = {
     "Lifted": (lambda r: 1 + r**2, r"begins as 1 \+ 1 r\^2"),
     "Rooted": (lambda r: jnp.abs(r) * jnp.sqrt(r**2), "has a derivative that is not finite at"),
     "Missing": (lambda r: jnp.where(r > 9, jnp.nan, r**2), "has a value that is not finite at"),
+    "Jumping": (lambda r: jnp.where(jnp.abs(r) < 3, 1, 3) * r**2, "is not the integral of its"),
+    "Steep": (lambda r: r**2 + 100 * jnp.abs(r) ** 3, r"is no longer r\^2 at r = 0.001"),
+    "Halved": (lambda r: r.astype(jnp.float32) ** 2, "returns float32 for float64"),
+    "Together": (
+        lambda r: jnp.log1p((r / (s := jnp.maximum(jnp.median(jnp.abs(r)), 1.0))) ** 2) * s**2,
+        "depends on the other residuals at r",
+    ),
     "Falling": (lambda r: r**2 * jnp.exp(-(r**2) / 9), "falls for larger residuals at r = 3"),
 }
 
@@ -239,6 +283,75 @@ def test_a_wrong_loss_is_refused_before_anything_is_fitted(name):
     wrong = giajax.register(type(name, (AbstractLoss,), body))
     with pytest.raises(InputError, match=f"{name}.rho {said}"):
         giajax.fit(Decay(), run(), loss=wrong())
+
+
+def test_only_rho_is_a_losss_own():
+    """What `is_linear` or a method claims would go before what rho is."""
+
+    class Derived(Linear):
+        def rho(self, r):
+            return 4 * jnp.log1p((r / 2) ** 2)
+
+    class Claiming(Cauchy):
+        is_linear = True
+
+    for wrong, name in ((Derived(), "transform"), (Claiming(), "is_linear")):
+        with pytest.raises(InputError, match=f"has a {name} of its own, which follows from rho"):
+            check_loss(wrong)
+    assert not Derived().is_linear
+
+
+@giajax.register
+class Tukey(AbstractLoss):
+    """Tukey's, which is level beyond a width."""
+
+    width: float = 4.685
+
+    def rho(self, r):
+        u = jnp.clip(r / self.width, -1, 1)
+        return self.width**2 / 3 * (1 - (1 - u**2) ** 3)
+
+
+def test_a_cell_where_rho_is_level_has_no_part_in_a_fit():
+    clean = run(samples=100, seed=2)
+    heights = clean.observations["tip_z"].copy()
+    heights[::25] += 0.5
+    recording = giajax.Run.from_arrays(
+        clean.times, {"tip_z": heights}, noise={"position": 0.01}, definition={"free_motion": True}
+    )
+    start = {"amplitude": 1.95, "decay": 0.72, "offset": 0.3}
+    for noise_model in ("white", "correlated"):
+        result = giajax.fit(
+            Decay(), recording, loss=Tukey(), start=start, noise_model=noise_model, check=False
+        )
+        assert result.status == "converged"
+        for path, value in TRUTH.items():
+            estimate = result.parameters[path]
+            assert abs(estimate.value - value) < 3.5 * estimate.standard_error, path
+
+
+def test_each_loss_weighs_outliers_among_correlated_noise():
+    clean, rng = run(samples=200, seed=2), np.random.default_rng(0)
+    noise = np.zeros(200)
+    for at in range(1, 200):
+        noise[at] = 0.9 * noise[at - 1] + 0.02 * rng.normal()
+    heights = clean.observations["tip_z"] + noise
+    heights[::15] += 0.5
+    recording = giajax.Run.from_arrays(
+        clean.times, {"tip_z": heights}, definition={"free_motion": True}
+    )
+    start = {"amplitude": 1.5, "decay": 1.0, "offset": 0.2}
+    ends = {}
+    for loss in ("huber", "soft_l1", "student_t"):
+        result = giajax.fit(Decay(), recording, loss=loss, start=start, check=False)
+        assert result.status == "converged"
+        assert result.runs[0].channels["tip_z"].correlated > 0
+        ends[loss] = result.parameters["offset"]
+    values = [each.value for each in ends.values()]
+    error = ends["huber"].standard_error
+    assert min(np.abs(np.diff([*values, values[0]]))) > 0.01 * error
+    # Cells half a metre off hold on to huber, and hardly to t.
+    assert ends["huber"].value - ends["student_t"].value > 0.2 * error
 
 
 def test_a_loss_without_its_method_is_refused_by_its_name():

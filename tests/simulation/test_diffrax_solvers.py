@@ -36,6 +36,10 @@ def exact():
         ({"solver": "Ralston()"}, 2e-5),
         ({"solver": diffrax.ReversibleHeun()}, 2e-5),
         ({"solver": "springs5", "stepsize_controller": LESS}, 2e-4),
+        (
+            {"solver": "springs5", "stepsize_controller": diffrax.ClipStepSizeController(LESS)},
+            2e-4,
+        ),
         ({"solver": diffrax.HalfSolver(diffrax.Euler()), "rtol": 1e-5, "atol": 1e-5}, 3e-3),
         (
             {
@@ -45,7 +49,7 @@ def exact():
             1e-3,
         ),
     ],
-    ids=["implicit", "text", "reversible", "controller", "halves", "steps"],
+    ids=["implicit", "text", "reversible", "controller", "clipped", "halves", "steps"],
 )
 def test_it_moves_the_arm(exact, options, within):
     motion = move(**options)

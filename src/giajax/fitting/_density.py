@@ -16,6 +16,7 @@ from ..runtime.arrays import Array, Float, Scalar, on_device
 from ..runtime.text import InputError
 from ._coordinates import Bijector, Unbounded
 from ._linearise import linearise
+from ._losses import untransformed
 from ._optimum import Optimum
 from ._problem import Problem
 from ._statistics import Statistics, weighted_residuals
@@ -57,7 +58,8 @@ def cost_scale(optimum: Optimum) -> float:
         residuals, _ = weighted_residuals(optimum.state)
         _, _, curvature, slope = problem.loss.scores(residuals)
         data = np.arange(len(residuals)) < len(residuals) - len(problem.priors.columns)
-        weights = np.where(data, np.sqrt(np.maximum(curvature, 0.0)) / slope, 1.0)
+        root = np.sqrt(np.maximum(curvature, 0.0))
+        weights = np.where(data, untransformed(root, slope), 1.0)
     alive = statistics.alive
     with np.errstate(all="ignore"):
         known = np.diag(inverse_gram(jacobian.reduced(weights)[:, alive]))

@@ -4,6 +4,7 @@ import abc
 import dataclasses
 import functools
 import math
+import numbers
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from ..runtime.arrays import Array, Float
 from ..runtime.plugins import name_of, register, registered
 from ..runtime.programs import program
-from ..runtime.text import InputError
+from ..runtime.text import InputError, shown
 
 
 class Scores(NamedTuple):
@@ -44,6 +45,11 @@ def _all_scores(loss: "AbstractLoss", r: Array) -> Scores:
     t = jnp.sign(r) * jnp.sqrt(rho)
     slope = jnp.where(t == 0, 1, value / jnp.where(t == 0, 1, t))
     return Scores(rho, value, curvature, slope)
+
+
+def untransformed(rows: np.ndarray | float, slope: np.ndarray) -> np.ndarray:
+    """What was multiplied by the slope without it; 0 where rho is level: it has no part there."""
+    return np.divide(rows, slope, out=np.zeros(np.broadcast(rows, slope).shape), where=slope != 0)
 
 
 _scores = functools.partial(program, like=lambda loss, r: Scores(r, r, r, r))(_all_scores)
@@ -79,8 +85,6 @@ class AbstractLoss(eqx.Module):
     """
 
     registered_as: ClassVar[str] = "loss"
-    is_linear: ClassVar[bool] = False
-    """Whether each residual counts as its square, so that least squares stay what they are."""
 
     @abc.abstractmethod
     def rho(self, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -97,6 +101,15 @@ class AbstractLoss(eqx.Module):
         padded[: r.size] = r.ravel()
         found = _scores(self, jnp.asarray(padded))
         return Scores(*(np.asarray(each)[: r.size].reshape(r.shape) for each in found))
+
+    def weights(self, r: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Those of reweighted least squares, psi / r; 1 at 0."""
+        return np.divide(self.scores(r).psi, r, out=np.ones(r.shape), where=r != 0)
+
+    @property
+    def outlier_weight(self) -> float:
+        """The weight below which a cell is an outlier, about three deviations off."""
+        return float(np.clip(self.weights(np.array([3.0]))[0], 1e-6, 1 / 3))
 
     def curvature_ratio(
         self, r: Float[Array, " cell"], measured: Float[Array, " cell"]
@@ -120,6 +133,11 @@ class AbstractLoss(eqx.Module):
         root = jnp.sqrt(off * reweighted + (1 - off) * jnp.maximum(curvature, 0))
         # Where rho is level, a cell has no part in the step.
         return jnp.where(slope > 0, root / jnp.where(slope > 0, slope, 1), 1)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether each residual counts as its square, so that least squares stay what they are."""
+        return type(self) is Linear
 
     @property
     def mean_square(self) -> float:
@@ -146,14 +164,28 @@ class AbstractLoss(eqx.Module):
                 f"the loss {name} is not registered, and a result could not name it: call "
                 "giajax.register of its class"
             )
-        values = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-        for key, value in values.items():
-            if not (isinstance(value, int | float) and math.isfinite(value)):
-                raise InputError(
-                    f"the loss {name} has {key} = {value!r}, which no file can state: give a "
-                    "finite number"
-                )
+        values = _parameters(self)
         return {"name": name, **values} if values else name
+
+
+def _parameters(loss: AbstractLoss) -> dict[str, int | float]:
+    """The parameters of a loss by name, which must be numbers."""
+    name, values = name_of(type(loss)), {}
+    for each in dataclasses.fields(loss):
+        given = getattr(loss, each.name)
+        value = given.item() if isinstance(given, np.generic) else given
+        if not (isinstance(value, int | float) and math.isfinite(value)):
+            raise InputError(
+                f"the loss {name} has {each.name} = {given!r}, which no file can state: give a "
+                "finite number"
+            )
+        if each.name == "name":
+            raise InputError(
+                f"the loss {name} has a parameter called name, as files call the loss itself: "
+                "give it another name"
+            )
+        values[each.name] = value
+    return values
 
 
 def _normal_mean(of: Any) -> float:
@@ -167,7 +199,6 @@ class Linear(AbstractLoss):
     """r^2: least squares."""
 
     kind: ClassVar[str] = "linear"
-    is_linear: ClassVar[bool] = True
 
     def rho(self, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """r^2."""
@@ -252,7 +283,12 @@ def loss_of(said: str | Mapping[str, Any]) -> AbstractLoss:
     if (found := registered(AbstractLoss.registered_as, name)) is None:
         raise InputError(f"there is no loss '{name}' here: register its class, or correct the name")
     try:
-        loss: AbstractLoss = found(**{key: float(value) for key, value in values.items()})
+        whole = {each.name for each in dataclasses.fields(found) if type(each.default) is int}
+        for key, value in values.items():
+            if not isinstance(value, numbers.Real):
+                raise TypeError(f"{key} = {value!r} is no number")
+            values[key] = value if key in whole else float(value)
+        loss: AbstractLoss = found(**values)
     except InputError:
         raise
     except Exception as error:
@@ -263,28 +299,48 @@ def loss_of(said: str | Mapping[str, Any]) -> AbstractLoss:
     return loss
 
 
-@functools.lru_cache
 def check_loss(loss: AbstractLoss) -> None:
     """Try a loss at 0 and at residuals from a thousandth of the noise to ten thousand times it.
 
     Raises:
-        InputError: naming the method and what is wrong: an exception, a shape, a value or a
-            derivative that is not finite, a value that is negative, that differs for -r, or that
-            falls for larger residuals, or another beginning than r^2.
+        InputError: a parameter is no number, or the class overrides another method than `rho`; or
+            naming the method and what is wrong: an exception, a shape, a type, a value or a
+            derivative that is not finite, a value that is negative, that differs for -r or beside
+            others, that jumps or that falls for larger residuals, or another beginning than r^2.
     """
-    if type(loss).__module__ == __name__:
-        return
+    if not isinstance(loss, AbstractLoss):
+        raise InputError(
+            f"{shown(loss)} is no loss: give an object of a class that is derived from "
+            "giajax.fitting.AbstractLoss, such as giajax.fitting.StudentT()"
+        )
+    _parameters(loss)  # what can be hashed
+    if type(loss).__module__ != __name__:
+        _check_rho(loss)
+
+
+@functools.lru_cache
+def _check_rho(loss: AbstractLoss) -> None:
+    cls = type(loss)
+    for name, own in vars(AbstractLoss).items():
+        if name[0] != "_" and name != "rho" and getattr(cls, name) is not own:
+            raise InputError(
+                f"{cls.__name__} has a {name} of its own, which follows from rho: leave it out, "
+                "and derive the class from AbstractLoss"
+            )
     what = f"{type(loss).__name__}.rho"
     r = jnp.asarray(np.append(0.0, np.geomspace(1e-3, 1e4, 141)))
     try:
         with jax.ensure_compile_time_eval():
-            shape = getattr(loss.rho(r), "shape", None)
-            if shape != r.shape:
+            given: Any = loss.rho(r)
+            if (shape := getattr(given, "shape", None)) != r.shape:
                 raise InputError(
                     f"{what} returns the shape {shape} for residuals of shape {r.shape}: return a "
                     "number for each of them"
                 )
+            if given.dtype != r.dtype:
+                raise InputError(f"{what} returns {given.dtype} for {r.dtype}: keep the type")
             found, mirrored = _scores(loss, r), np.asarray(loss.rho(-r))
+            few, more = loss.rho(r[::2]), loss.rho(jnp.append(jnp.zeros_like(r), r))[r.size :]
     except InputError:
         raise
     except Exception as error:
@@ -304,6 +360,9 @@ def check_loss(loss: AbstractLoss) -> None:
     rounding = 1e-9 if rho.dtype == np.float64 else 1e-4
     uneven = np.abs(mirrored - rho) > rounding * np.abs(rho)
     refuse(uneven, "differs from what it is at -r", "let it depend on |r| alone")
+    beside = np.abs(np.asarray(more) - rho)
+    beside[::2] += np.abs(np.asarray(few) - rho[::2])
+    refuse(beside > rounding * rho, "depends on the other residuals", "score each by itself")
     if rho[0] != 0 or abs(curvature[0] - 1) > rounding:
         raise InputError(
             f"{what} begins as {rho[0]:.3g} + {curvature[0]:.6g} r^2, and must begin as r^2, for "
@@ -311,3 +370,10 @@ def check_loss(loss: AbstractLoss) -> None:
         )
     falling = np.append(False, np.diff(rho) < -rounding * rho[1:])
     refuse(falling, "falls for larger residuals", "let none count for less than a smaller one")
+    size = np.asarray(r)
+    rounded = 4 * np.finfo(rho.dtype).eps
+    bent = (np.abs(rho - size**2) > 0.01 * size**2 + rounded) & (size < 2e-3)
+    refuse(bent, "is no longer r^2", "let it begin as r^2, for residuals are in units of the noise")
+    # Coarse: psi may have a corner, or end at once.
+    sums = np.append(0.0, np.cumsum((psi[1:] + psi[:-1]) * np.diff(size)))
+    refuse(np.abs(rho - sums) > 0.2 * rho, "is not the integral of its derivative", "let none jump")

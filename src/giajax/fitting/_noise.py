@@ -18,6 +18,7 @@ from ..noise import (
     robust_deviation,
 )
 from ..recordings import Run
+from ._losses import AbstractLoss, untransformed
 from ._problem import predictions_by_run
 from ._records import Status
 from ._steps import FitState
@@ -46,8 +47,8 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
             if batch.whitening is not None:
                 block = batch.whitening.of_run(row).undone(block)
             slope = state.problem.loss.scores((difference * weight).ravel()).slope
-            with np.errstate(divide="ignore", invalid="ignore"):
-                block = (block / (slope * weight.ravel())[:, None]).reshape(*weight.shape, -1)
+            block = untransformed(block, (slope * weight.ravel())[:, None])
+            block = block.reshape(*weight.shape, -1)
             where = {int(column): position for position, column in enumerate(columns)}
             own = [where[c] for c in sorted(mine & set(where)) if active[c]]
             shared = [where.get(c, -1) for c in common]
@@ -98,7 +99,6 @@ def shared_and_own(state: FitState) -> tuple[list[int], set[int]]:
 TOLERANCE = 1e-5
 
 _SETTLED = 0.1  # twice the gain in log-likelihood below which another noise is the same one
-OUTLIER = 1 / 3  # weight below which a cell is an outlier: three deviations off
 
 # Change of a robust deviation, in its logarithm, and mean change of weights, likewise.
 _SAME_DEVIATION = 0.05
@@ -116,7 +116,7 @@ def reestimate(state: FitState) -> Noise:
         # What rounding leaves has no size to be estimated again.
         return dataclasses.replace(noise, estimated=not noise.complete)
     if robust:
-        return _among_outliers(noise, cells, state.setup.runs)
+        return _among_outliers(noise, cells, state.setup.runs, state.setup.loss)
     # Without the priors: one that is wrong would pass for noise that is correlated for long.
     before = Restricted.of(list(cells.values()), noise.by_key())
     after = estimate(before, noise.stated_by_key(), correlated=noise.correlated and not perfect)
@@ -140,7 +140,7 @@ def _gain(before: Restricted, after: Restricted) -> float:
 
 
 def _among_outliers(
-    noise: Noise, cells: dict[tuple[int, str], Cells], runs: Sequence[Run]
+    noise: Noise, cells: dict[tuple[int, str], Cells], runs: Sequence[Run], loss: AbstractLoss
 ) -> Noise:
     """The noise by robust statistics; correlated, each cell gets a weight of its own."""
     stated, old = noise.stated_by_key(), noise.by_key()
@@ -152,9 +152,11 @@ def _among_outliers(
         for residuals in [[c.residual for c in cells.values() if c.key == key]]
     }
     if noise.correlated:
-        weights = {at: outlier_weights(each, sizes[each.key]) for at, each in cells.items()}
+        weights = {
+            at: outlier_weights(each, sizes[each.key], loss.weights) for at, each in cells.items()
+        }
         # An outlier is no noise: it has no part in its size, only little in the fit.
-        inliers = [each.where(weights[at] > OUTLIER) for at, each in cells.items()]
+        inliers = [each.where(weights[at] > loss.outlier_weight) for at, each in cells.items()]
         before = Restricted.of(inliers, sizes)
         after = estimate(before, stated, correlated=True)
         if not all(each.is_white for each in after.noise.values()):

@@ -10,8 +10,8 @@ from ..noise import Cells, Restricted, score_covariance, small_sample
 from ..recordings import Run
 from ..runtime.arrays import Float
 from ._linearise import BlockJacobian
-from ._losses import AbstractLoss
-from ._noise import OUTLIER, residual_cells
+from ._losses import AbstractLoss, untransformed
+from ._noise import residual_cells
 from ._steps import FitState
 
 # For a change of a parameter by its own size, in units of the noise: alone, the parameter would
@@ -114,7 +114,7 @@ def uncertainty(
 
     def root_of_gram(weights: np.ndarray | float) -> np.ndarray:
         # Unmeasured cells have zero rows; their slope is that of a residual of zero.
-        return jacobian.reduced(np.where(data, weights / slope, 1.0))[:, columns]
+        return jacobian.reduced(np.where(data, untransformed(weights, slope), 1.0))[:, columns]
 
     plain = root_of_gram(1.0)
     mean_curvature = float(np.mean(curvature[measured & data])) if count else 1.0
@@ -207,7 +207,7 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
         for at, each in residual_cells(state, together=True).items()
     ]
     # Outliers have no part in what is known of the noise.
-    inliers = [each.where(each.weights > OUTLIER) for each in dense]
+    inliers = [each.where(each.weights > state.setup.loss.outlier_weight) for each in dense]
     prior, off = prior_rows(state, alive)
     known = np.column_stack([prior, off])
     problem = Restricted.of(inliers, by_key, known.T @ known)

@@ -1,7 +1,7 @@
 """White and correlated noise of each channel, by restricted likelihood."""
 
 import dataclasses
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -15,6 +15,8 @@ _ROUNDS = 20
 # The white part that tells an outlier from a jump of the correlated part, at least.
 _LEAST_WHITE = 0.1
 
+_LEAST_WEIGHT = 1e-12  # of a cell that has none: its variance is divided by it
+
 
 def robust_deviation(residuals: Float[np.ndarray, " cell"]) -> float:
     """Standard deviation of normal noise with some outliers; never 0."""
@@ -23,13 +25,17 @@ def robust_deviation(residuals: Float[np.ndarray, " cell"]) -> float:
     return max(MAD * float(np.median(size)), 1e-12 * float(np.max(size, initial=0.0)), 1e-300)
 
 
-def outlier_weights(cells: Cells, noise: ChannelNoise) -> Float[np.ndarray, " cell"]:
-    """Huber's weights of the white part of each cell, one for what is within the noise.
+def outlier_weights(
+    cells: Cells,
+    noise: ChannelNoise,
+    weigh: Callable[[np.ndarray], np.ndarray] = lambda size: 1 / np.maximum(size, 1.0),
+) -> Float[np.ndarray, " cell"]:
+    """A loss's weights of the white part of each cell, as `weigh` gives them of its size; Huber's.
 
-    They minimise the sum of Huber's loss of the white part and of the square of the correlated
+    They minimise the sum of the loss of the white part and of the square of the correlated
     one: an outlier is not correlated noise, so its neighbours do not predict it, nor it them
     (iteratively reweighted least squares; Huber 1981, section 7.8). The white variance of a cell is
-    divided by its weight, which is above 0 and up to 1.
+    divided by its weight, which is above 0.
     """
     white = max(noise.white, _LEAST_WHITE * noise.deviation)
     noise = dataclasses.replace(noise, white=white)
@@ -38,7 +44,7 @@ def outlier_weights(cells: Cells, noise: ChannelNoise) -> Float[np.ndarray, " ce
         solved = solve(noise, cells.times, weights, cells.residual[:, None])[0][:, 0]
         # V^-1 e times the white variance is the white part of e.
         own = np.abs(white**2 / weights * solved) / white
-        after = 1 / np.maximum(own, 1.0)
+        after = np.maximum(weigh(own), _LEAST_WEIGHT)
         done = np.max(np.abs(after - weights), initial=0.0) < 1e-3
         weights = after
         if done:

@@ -161,7 +161,7 @@ _LOSS = (
 
 def _known_loss(said: Any) -> Any:
     """A loss as a file states it, also of an object of Python."""
-    if not isinstance(said, str | Mapping) and hasattr(said, "contents"):
+    if not isinstance(said, str | Mapping | type) and hasattr(said, "contents"):
         said = said.contents()
     name = said.get("name") if isinstance(said, Mapping) else said
     known = isinstance(name, str) and (name in get_args(Loss) or registered("loss", name))

@@ -68,11 +68,23 @@ def step_size_controller(
         slowness = 1 / rates.all
         implicit = isinstance(solver, diffrax.AbstractImplicitSolver)
         stable = _STABLE.get(type(solver), jnp.inf if implicit else _LEAST) / rates.explicit
-    controller: Any = diffrax.PIDController(rtol, atol) if inner is None else inner
-    if inner is not None and {"rtol", "atol"} <= vars(inner).keys():
-        controller = dataclasses.replace(controller, rtol=rtol, atol=atol)
+    controller = diffrax.PIDController(rtol, atol) if inner is None else _with(inner, rtol, atol)
     return diffrax.ClipStepSizeController(
         _Careful(controller, stable, slowness, jnp.sort(bends), turns), jump_ts=corners
+    )
+
+
+def _with(controller: Any, rtol: Any, atol: Any) -> Any:
+    """A controller with other tolerances, which may be those of one within it."""
+    held = vars(controller)
+    if {"rtol", "atol"} <= held.keys():
+        return dataclasses.replace(controller, rtol=rtol, atol=atol)
+    if "controller" in held:
+        inner = _with(held["controller"], rtol, atol)
+        return eqx.tree_at(lambda outer: outer.controller, controller, inner)
+    raise InputError(
+        f"the step size controller {type(controller).__name__} has no fields rtol and atol, which "
+        "a fit or a caller sets: give it both, or diffrax.PIDController(rtol=..., atol=...)"
     )
 
 
@@ -94,6 +106,8 @@ def check_method(solver: Solver, controller: object = None, *, slides: bool = Fa
             f"diffrax.HalfSolver({name}()), or where nothing slides "
             "stepsize_controller=diffrax.StepTo(ts=...)"
         )
+    if adaptive and controller is not None:
+        _with(controller, 0.0, 0.0)
 
 
 class _Careful(diffrax.AbstractAdaptiveStepSizeController):
