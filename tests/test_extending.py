@@ -17,6 +17,7 @@ RESULTS = {
     "coffee_filter": "filter",
     "fullness_drag": "fullness",
     "hardening_joint": "hardening",
+    "strain_gauge": "strain",
     "tethered_balloon": "balloon",
 }
 

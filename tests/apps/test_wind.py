@@ -226,6 +226,7 @@ def test_the_gradient_is_that_of_the_likelihood():
         ({"jitter": 0.05}, "even"),
         ({"gaps": 100}, "empty in"),
         ({"channel": "link05_z"}, "has link05_z, but"),
+        ({"channel": "link02_inclination"}, "of which there are no spectra"),
     ],
 )
 def test_what_is_no_record_of_rest_is_refused(change, words):

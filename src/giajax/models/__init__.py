@@ -12,10 +12,12 @@ from ._arm_definition import (
     sensors_from_definition as sensors_from_definition,
 )
 from ._arm_sensors import (
+    AbstractSensor as AbstractSensor,
     Camera as Camera,
     Marker as Marker,
     Sensors as Sensors,
     camera_of as camera_of,
+    check_sensor as check_sensor,
     clock_of as clock_of,
     recorded_channels as recorded_channels,
 )
@@ -28,6 +30,11 @@ from ._hysteresis import (
     hysteresis_keys as hysteresis_keys,
     input_channel as input_channel,
     output_channel as output_channel,
+)
+from ._inertial import (
+    Accelerometer as Accelerometer,
+    Gyroscope as Gyroscope,
+    Inclinometer as Inclinometer,
 )
 from ._joint import (
     JointInputs as JointInputs,

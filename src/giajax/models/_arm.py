@@ -54,6 +54,7 @@ from ._arm_sensors import (
     Sensors,
     behind_conditions,
     cameras_of,
+    check_sensor,
     recorded_channels,
     seen_by_cameras,
     unseen,
@@ -326,6 +327,10 @@ class ArmModel(AbstractModel):
     def prepare(self, run: Run) -> ArmInputs:
         """Sample times, command, wind and initial state of an arm run."""
         cameras_of(self.sensors, run.observations)
+        for each in self.sensors.sensor.values():
+            # Those of giajax are tried in its tests.
+            if not type(each).__module__.startswith("giajax."):
+                check_sensor(each, self.arm)
         return arm_inputs(self.arm, self.sensors.encoder, run)
 
     def trajectory(self, inputs: ArmInputs) -> Trajectory:
@@ -353,7 +358,7 @@ class ArmModel(AbstractModel):
         )
 
     def predict(self, inputs: ArmInputs, channels: tuple[str, ...]) -> Prediction:
-        """Predicted channels (m, rad, rad/s) as the sensors show them, each (sample,)."""
+        """Predicted channels (SI) as the sensors show them, each (sample,)."""
         return recorded_channels(
             self.arm,
             self.sensors,

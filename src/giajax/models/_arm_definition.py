@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from inspect import signature
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -42,7 +43,7 @@ from ..schema import (
     sections_of_cameras,
 )
 from ..schema.parameters import DECLARED, declared, default_free, replace
-from ._arm_sensors import Camera, Landmark, Sensors
+from ._arm_sensors import Camera, Landmark, Sensors, sensor_class
 from ._cameras import Pinhole
 from ._protocol import parameter_values
 
@@ -89,11 +90,13 @@ def sensors_from_definition(definition: Definition) -> Sensors:
         InputError: a camera without what it cannot be without.
     """
     cameras, marks = definition.section(CamerasSection), definition.section(LandmarksSection)
+    section = definition.section(SensorsSection)
     sensors = Sensors(
         camera=Camera(pinholes={name: _pinhole(name, of) for name, of in cameras.named().items()}),
         landmark={name: Landmark() for name in marks.named()},
+        sensor={name: sensor_class(name)() for name in sorted(section.own or {})},
     )
-    stated = definition.section(SensorsSection).values() | cameras.values() | marks.values()
+    stated = section.values() | cameras.values() | marks.values()
     return replace(sensors, stated)
 
 
@@ -122,6 +125,8 @@ def sensors_to_definition(sensors: Sensors) -> dict[str, dict[str, Any]]:
     """`[sensors]`, `[camera]` and `[landmark]`: what the sensors do not leave out, as in files."""
     values = parameter_values(sensors)
     errors = SensorsSection.keys_of(values)
+    if sensors.sensor:
+        errors["own"] = {name: _constants(of) for name, of in sensors.sensor.items()}
     sections = {**({"sensors": errors} if errors else {}), **sections_of_cameras(values)}
     for name, camera in sensors.camera.pinholes.items():
         about = {"mount": camera.mount, "size_px": list(camera.size)}
@@ -212,13 +217,18 @@ def _point_masses(entries: list[PointMass]) -> PointMasses | None:
     return PointMasses(links=tuple(entry.link for entry in entries), **columns)
 
 
+def _constants(part: eqx.Module) -> dict[str, Any]:
+    """Values by path of the parameters that a fit does not free by default."""
+    fitted = default_free(part)
+    return {path: v for path, v in parameter_values(part).items() if path not in fitted}
+
+
 def arm_to_definition(arm: Arm) -> dict[str, Any]:
     """The `[arm]` section of an arm: all of its constants, in the TOML vocabulary.
 
     What a fit frees by default (stiffness, damping, C_D) is not a constant.
     """
-    fitted = default_free(arm)
-    constants = {path: v for path, v in parameter_values(arm).items() if path not in fitted}
+    constants = _constants(arm)
     usual_axes = arm.joints.axes == named_axes("pitch_yaw", arm.count)
     facts: dict[str, Any] = {
         "links": arm.count,
@@ -325,7 +335,8 @@ def agreed_parts(runs: Sequence[Run]) -> tuple[Arm, Sensors]:
         )
         for name in ("arm", *SECTIONS):
             check_agreement(name, (first, ours.get(name, {})), (other, theirs.get(name, {})))
-    return arm, sensors
+    channels = [channel for run in runs for channel in run.channels.values()]
+    return arm, sensors.with_rows(channel.kind for channel in channels)
 
 
 def agreed_section(runs: Sequence[Run], name: str, of: type[S]) -> S:

@@ -1,7 +1,9 @@
 """What the sensors of an arm show of its motion, channel by channel."""
 
+import abc
+import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -20,11 +22,12 @@ from ..runtime.arrays import (
     rotation_vector_to_quaternion,
     scaled,
 )
+from ..runtime.plugins import name_of, registered
 from ..runtime.programs import program
 from ..runtime.text import InputError, one_of
-from ..schema import CAMERA, ENCODER, LANDMARK, MARKER
-from ..schema.parameters import declared, inline, parameter
-from ..simulation import Trajectory
+from ..schema import CAMERA, ENCODER, KINDS, LANDMARK, MARKER, ChannelKind, add_kind
+from ..schema.parameters import declared, inline, is_concrete, parameter
+from ..simulation import Trajectory, at_rest
 from ._cameras import NEAR, Pinhole, Projection
 from ._protocol import Prediction
 
@@ -109,11 +112,11 @@ class Encoder(eqx.Module):
     def shows(self, angles: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
         """Recorded joint angles, rad; the clock apart."""
         shown = self.shows_rates(angles)
-        return shown if self.offset is None else shown + _row(self.offset, shown)
+        return shown if self.offset is None else shown + per_row(self.offset, shown)
 
     def shows_rates(self, rates: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
         """Recorded joint rates, rad/s; the clock apart."""
-        return rates if self.scale is None else rates * _row(self.scale, rates)
+        return rates if self.scale is None else rates * per_row(self.scale, rates)
 
     def true_angles(self, shown: Float[Array, " joint"]) -> Float[Array, " joint"]:
         """Joint angles (rad) that are shown so: the inverse of `shows`; the clock apart."""
@@ -124,8 +127,120 @@ class Encoder(eqx.Module):
         return shown if self.scale is None else shown / self.scale
 
 
-def _row(value: Array, table: Array) -> Array:
+def per_row(value: Array, table: Array) -> Array:
     return jnp.broadcast_to(value, table.shape[1:])[None]
+
+
+_SENSORS: dict[str, str] = {}  # names of the classes by their rows of the column table
+
+
+class AbstractSensor(eqx.Module):
+    """What a sensor on an arm shows: the columns of one row of the column table.
+
+    Its parameters are declared as all others (`giajax.schema.parameters.parameter`) and have paths
+    as `sensor.NAME.gain`. Where it has one that is called `delay`, s, it shows the motion of so
+    much earlier. `check_sensor` tests a sensor.
+    """
+
+    registered_as: ClassVar[str] = "sensor"
+    channel: ClassVar[ChannelKind]
+    """Its row: name, column (`gaugeNN`, `tip_gauge`), quantity, "output", and key of noise."""
+
+    @classmethod
+    def on_registration(cls) -> None:
+        """Add its row to those of an arm.
+
+        Raises:
+            InputError: it has no row, or one that another has.
+        """
+        row, arm, name = getattr(cls, "channel", None), KINDS["arm"], name_of(cls)
+        if not isinstance(row, ChannelKind) or row.part != "output":
+            raise InputError(
+                f"{name}.channel is {row!r}: make it the row of its columns, a "
+                'giajax.schema.ChannelKind whose part is "output"'
+            )
+        others = tuple(each for each in arm.channels if each.name != row.name)
+        owner = _SENSORS.get(row.name, "giajax")
+        if others != arm.channels and owner != name and not cls.__module__.startswith("giajax."):
+            raise InputError(
+                f"the channel '{row.name}' of {name} is that of {owner}: give it another name"
+            )
+        if row not in arm.channels:
+            add_kind(dataclasses.replace(arm, channels=(*others, row)))
+        _SENSORS[row.name] = name
+
+    @abc.abstractmethod
+    def values(self, motion: Trajectory) -> Float[Array, "sample *place"]:
+        """What it shows of a motion at its samples, SI.
+
+        Arguments:
+            motion: with times, angles, rates, accelerations and torques of the joints, and the arm.
+
+        Returns:
+            Shape (sample,); with an axis more for the links or joints where the column has a
+            number, and one for the components where it ends in `_x` or `_u`.
+        """
+
+
+def sensor_class(name: str) -> type[AbstractSensor]:
+    """The class of sensors of a name.
+
+    Raises:
+        InputError: none is registered.
+    """
+    if (found := registered(AbstractSensor.registered_as, name)) is None:
+        raise InputError(f"there is no sensor '{name}' here: register its class")
+    return found
+
+
+def check_sensor(sensor: AbstractSensor, arm: Arm) -> None:
+    """Try a sensor on an arm that is straight and at rest.
+
+    While a program is traced nothing is checked.
+
+    Raises:
+        InputError: naming the method and what is wrong: an exception, a shape, or a value or a
+            derivative that is not finite.
+    """
+    if not is_concrete((sensor, arm)):
+        return
+    what, row = f"{type(sensor).__name__}.values", sensor.channel
+    try:
+        shown, slope = _shown_at_rest(sensor, arm)
+    except Exception as error:
+        raise InputError(
+            f"{what} fails ({type(error).__name__}: {str(error).splitlines()[0]}): correct it"
+        ) from error
+    places = [arm.count] * ("NN" in row.column) + [len(row.components)] * bool(row.components)
+    shape = getattr(shown, "shape", None)
+    if shape != (1, *places):
+        raise InputError(
+            f"{what} returns the shape {shape} for one sample of {arm.count} links: return "
+            f"{(1, *places)}, as {row.column} says"
+        )
+    for each, found in {"value": shown, "derivative": slope}.items():
+        if not bool(jnp.all(jnp.isfinite(found))):
+            raise InputError(
+                f"{what} has a {each} that is not finite at rest: correct it (safe_norm of "
+                "giajax.runtime.arrays is a root with derivatives at rest)"
+            )
+
+
+@program
+def _shown_at_rest(sensor: AbstractSensor, arm: Arm) -> tuple[Any, Any]:
+    """What it shows, and how that changes with all that moves and with its parameters."""
+
+    def shown(sensor: AbstractSensor, angles: Array, rates: Array) -> Any:
+        motion = at_rest(arm, angles)
+        return sensor.values(dataclasses.replace(motion, rates=motion.rates + rates[None]))
+
+    still = jnp.zeros(arm.count)
+    given = (sensor, still, still)
+    return eqx.filter_jvp(shown, given, jax.tree.map(_one, given))
+
+
+def _one(leaf: Any) -> Any:
+    return jnp.ones_like(leaf) if eqx.is_inexact_array(leaf) else None
 
 
 class Sensors(eqx.Module):
@@ -135,6 +250,23 @@ class Sensors(eqx.Module):
     marker: Marker = eqx.field(default_factory=Marker)
     encoder: Encoder = eqx.field(default_factory=Encoder)
     landmark: dict[str, Landmark] = eqx.field(default_factory=dict)
+    sensor: dict[str, AbstractSensor] = eqx.field(default_factory=dict)
+
+    def of_row(self, kind: str) -> AbstractSensor | None:
+        """The sensor that shows a row of the column table, by default as its class makes it.
+
+        None of what camera, markers and angle sensors show.
+        """
+        if (name := _SENSORS.get(kind)) is None:
+            return None
+        return self.sensor[name] if name in self.sensor else sensor_class(name)()
+
+    def with_rows(self, kinds: Iterable[str]) -> "Sensors":
+        """With the sensors of these rows of the column table, as far as rows are of some."""
+        asked = [_SENSORS[kind] for kind in kinds if kind in _SENSORS]
+        new = {name: sensor_class(name)() for name in asked if name not in self.sensor}
+        # In its order, as JAX has it.
+        return dataclasses.replace(self, sensor=dict(sorted((self.sensor | new).items())))
 
     def check(self, joints: int) -> None:
         """Refuse values for another number of links or joints.
@@ -306,21 +438,14 @@ def behind_conditions(
 Times = Float[Array, " sample"]
 
 
-class Seen(NamedTuple):
-    """Joint angles (rad) and rates (rad/s) at the samples of one clock."""
-
-    angles: Float[Array, "sample joint"]
-    rates: Float[Array, "sample joint"]
-
-
 Motion = Callable[[Times, Scalar], Trajectory]
 """The motion at increasing times (s) from the first sample on, simulated until a time (s)."""
 
 
 def seen_with_delays(
     motion: Motion, times: Times, delays: Sequence[Scalar | None]
-) -> tuple[list[Seen], Bool[Array, ""]]:
-    """States at the samples less each delay (s; None: a clock that is right), from one simulation.
+) -> tuple[list[Trajectory], Bool[Array, ""]]:
+    """Motions at the samples less each delay (s; None: a clock that is right), from one simulation.
 
     The integrator's own interpolation gives them, at no more error than it has anyway, and with
     the derivative by the delay. Where a delay reaches back before the run, the arm has the rates
@@ -338,8 +463,11 @@ def seen_with_delays(
     place = jnp.argsort(order).reshape(len(delays), len(times))
     seen = []
     for row, moments, inside in zip(place, clocks, within, strict=True):
-        angles, rates = moved.angles[row], moved.rates[row]
-        seen.append(Seen(angles + (moments - inside)[:, None] * rates, rates))
+        names = ("angles", "rates", "memory", "pressures", "skin")
+        states = {name: getattr(moved, name) for name in names}
+        there = jax.tree.map(lambda rows, row=row: rows[row], states)
+        there["angles"] = there["angles"] + (moments - inside)[:, None] * there["rates"]
+        seen.append(dataclasses.replace(moved, times=inside, **there))
     return seen, moved.successful
 
 
@@ -355,7 +483,7 @@ _ENCODER = "angle sensors"
 def recorded_channels(
     arm: Arm, sensors: Sensors, motion: Motion, times: Times, channels: tuple[str, ...]
 ) -> Prediction:
-    """Channels (m, rad, rad/s, px) as the sensors show them, and whether the simulation succeeded.
+    """Channels (SI, px) as the sensors show them, and whether the simulation succeeded.
 
     Times of the samples are in s; names of channels are without unit.
     """
@@ -380,6 +508,10 @@ def recorded_channels(
     if "tip_position" in kinds:
         points = jax.vmap(lambda row: sensors.marker.at_tip(arm, row))(seen[_FRAME].angles)
         tables["tip_position"] = sensors.camera.sees(points)[:, None]
+    for kind in kinds:
+        if (sensor := sensors.of_row(kind)) is not None:
+            rows = sensor.values(seen[kind])
+            tables[kind] = rows if "NN" in sensor.channel.column else rows[:, None]
     pictures = {}
     for name in dict.fromkeys(shown.values()):
         of = [channel for channel in known if shown.get(channel.name) == name]
@@ -406,7 +538,7 @@ def seen_by_cameras(
 
 def _seen(
     sensors: Sensors, motion: Motion, times: Times, kinds: set[str], cameras: tuple[str, ...]
-) -> tuple[dict[str, Seen], Bool[Array, ""]]:
+) -> tuple[dict[str, Trajectory], Bool[Array, ""]]:
     """What each sensor sees, by name; a clock that no channel needs costs nothing."""
     clocks: dict[str, Scalar | None] = {}
     if kinds & _POSITIONS:
@@ -414,12 +546,13 @@ def _seen(
     if kinds & _ANGLES:
         clocks[_ENCODER] = sensors.encoder.delay
     clocks |= {name: clock_of(sensors, name) for name in cameras}
+    for kind in kinds & _SENSORS.keys():
+        clocks[kind] = getattr(sensors.of_row(kind), "delay", None)
     # Sensors that share a clock see the same.
     delays = list({id(delay): delay for delay in clocks.values()}.values())
     if all(delay is None for delay in delays):
         moved = motion(times, times[-1])
-        same = Seen(moved.angles, moved.rates)
-        return dict.fromkeys(clocks, same), moved.successful
+        return dict.fromkeys(clocks, moved), moved.successful
     shown, successful = seen_with_delays(motion, times, delays)
     places = {id(delay): place for place, delay in enumerate(delays)}
     return {name: shown[places[id(delay)]] for name, delay in clocks.items()}, successful

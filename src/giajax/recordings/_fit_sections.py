@@ -48,7 +48,7 @@ def seconds_of(duration: str) -> float:
 
 _NOISE = "a positive number, the standard deviation"
 _TIME = "a positive number of seconds"
-_WHOLE = ("position_m", "angle_deg", "rate_deg_per_s", "pixel_px")
+_WHOLE = ("position_m", "angle_deg", "rate_deg_per_s", "pixel_px", "acceleration_m_per_s2")
 
 
 class Noise(Section):
@@ -68,6 +68,9 @@ class Noise(Section):
     pixel_px: Positive | None = key(
         _NOISE, "standard deviation of every coordinate in a picture", example=2.0
     )
+    acceleration_m_per_s2: Positive | None = key(
+        _NOISE, "standard deviation of every acceleration", example=0.05
+    )
     position_correlated_m: Positive | None = key(_NOISE, "the correlated part of position_m")
     position_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
     angle_correlated_deg: Positive | None = key(_NOISE, "the correlated part of angle_deg")
@@ -78,6 +81,10 @@ class Noise(Section):
     rate_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
     pixel_correlated_px: Positive | None = key(_NOISE, "the correlated part of pixel_px")
     pixel_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+    acceleration_correlated_m_per_s2: Positive | None = key(
+        _NOISE, "the correlated part of acceleration_m_per_s2"
+    )
+    acceleration_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
 
     def correlated_part(self, name: str) -> tuple[float, float] | None:
         """Deviation, in the unit of a key, and time of the correlated part of it."""

@@ -1,6 +1,13 @@
 """What parameters, files and kinds of models are declared to be. Imports no JAX."""
 
-from ._arm import ARM as ARM, DEFAULT_PRESET as DEFAULT_PRESET, check_obstacles as check_obstacles
+from ._arm import (
+    ARM as ARM,
+    DEFAULT_PRESET as DEFAULT_PRESET,
+    IMU_FORCE as IMU_FORCE,
+    IMU_RATE as IMU_RATE,
+    INCLINATION as INCLINATION,
+    check_obstacles as check_obstacles,
+)
 from ._arm_sections import (
     MUSCLE_KEYS as MUSCLE_KEYS,
     ArmSection as ArmSection,

@@ -16,7 +16,15 @@ from ._arm_sections import (
     SensorsSection,
     WindSection,
 )
-from ._kind import ChannelKind, Kind, Naming, RecordedChannel, RecordedRun, SectionTemplate
+from ._kind import (
+    KINDS,
+    ChannelKind,
+    Kind,
+    Naming,
+    RecordedChannel,
+    RecordedRun,
+    SectionTemplate,
+)
 from ._quantities_arm import CONTACT
 
 PRESSURES = ("joint_pressure_first", "joint_pressure_second")
@@ -68,6 +76,15 @@ def _with_muscles(section: ArmSection) -> Callable[[int | None], bool] | None:
 DEFAULT_PRESET = "takeichi_20m"
 DEFAULT_LINKS = 20
 
+IMU_RATE = ChannelKind(
+    "imu_rate", "imuNN_gyro_x", "angular_velocity", "output", noise="rate_deg_per_s"
+)
+IMU_FORCE = ChannelKind(
+    "imu_force", "imuNN_accel_x", "acceleration", "output", noise="acceleration_m_per_s2"
+)
+INCLINATION = ChannelKind(
+    "link_inclination", "linkNN_inclination", "angle", "output", noise="angle_deg"
+)
 CHANNELS = (
     ChannelKind("joint_command", "jointNN_command", "angle", "input"),
     ChannelKind("joint_angle", "jointNN_angle", "angle", "output", noise="angle_deg"),
@@ -78,9 +95,12 @@ CHANNELS = (
     ChannelKind("link_angle", "linkNN_angle", "angle", "output", noise="angle_deg"),
     ChannelKind("link_position", "linkNN_x", "length", "output", noise="position_m"),
     ChannelKind("link_pixel", "linkNN_u", "pixel", "output", noise="pixel_px"),
+    INCLINATION,
     ChannelKind("tip_position", "tip_x", "length", "output", noise="position_m"),
     ChannelKind("tip_pixel", "tip_u", "pixel", "output", noise="pixel_px"),
     ChannelKind("mark_pixel", "markNN_u", "pixel", "output", noise="pixel_px"),
+    IMU_RATE,
+    IMU_FORCE,
     ChannelKind("wind", "wind_x", "velocity", "surroundings"),
     ChannelKind("link_wind", "linkNN_wind_x", "velocity", "surroundings"),
 )
@@ -106,6 +126,7 @@ def arm_template(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
         "marker": places | PIXELS,
         "camera": places,
     }
+    shown["own"] = {row.name for row in KINDS["arm"].channels} - {row.name for row in CHANNELS}
     sensors = [name for name in SensorsSection.model_fields if rows & shown[name.partition("_")[0]]]
     angles = {channel.index for channel in channels if channel.kind == "joint_angle"}
     recorded = largest > 0 and angles == set(range(1, largest + 1))
@@ -171,7 +192,7 @@ def _check(content: RecordedRun, naming: Naming) -> None:
     for channel in channels.values():
         numbered = channel.kind != "mark_pixel" and channel.index is not None
         if links is not None and numbered and (channel.index or 0) > links:
-            part = "link" if channel.kind.startswith("link") else "joint"
+            part = "joint" if channel.kind.startswith("joint") else "link"
             raise InputError(
                 f"{naming.source}: {naming.of(channel)} is of {part} {channel.index}, but the "
                 f"arm has {links} links: correct the name, or state links in [arm]"
@@ -263,7 +284,7 @@ ARM = Kind(
     name="arm",
     model="_arm:ArmModel",
     channels=CHANNELS,
-    recognises=lambda rows: any(row.name in rows for row in CHANNELS if row.part != "surroundings"),
+    recognises=lambda rows: not rows.isdisjoint(KINDS["arm"].rows("input", "output")),
     measured="linkNN_z_m or jointNN_angle_deg",
     sections={
         "arm": ArmSection,

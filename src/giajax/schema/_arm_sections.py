@@ -4,6 +4,8 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
 from ..runtime.limits import LINKS as MOST_LINKS
@@ -500,9 +502,38 @@ class ArmSection(_Surroundings):
                 )
 
 
+_Numbers = dict[Name, Finite | list[Finite]]
+
+
+def _known_sensor(word: str) -> str:
+    known = word in ("gyroscope", "accelerometer", "inclinometer")
+    if not known and registered("sensor", word) is None:
+        raise ValueError(
+            f'{word!r} must be "gyroscope", "accelerometer", "inclinometer" or a registered '
+            "sensor: correct it, or give --plugin FILE.py"
+        )
+    return word
+
+
 @with_keys(CAMERA, MARKER, ENCODER)
 class SensorsSection(Section):
     """`[sensors]`: what is known of camera, markers and angle sensors. By default: exact."""
+
+    own: dict[Annotated[str, AfterValidator(_known_sensor)], _Numbers] | None = key(
+        "a table of sensors by name, each with its parameters by name and their numbers, SI",
+        "other sensors; those of columns that are there have their defaults, unless stated",
+        example={"gyroscope": {"offset_z": 0.01}},
+        entry="a table of parameters by name and their numbers, SI",
+    )
+
+    def values(self) -> dict[str, npt.NDArray[np.float64]]:
+        """The quantities that the file has, by path, in SI; those of other sensors, too."""
+        own = {
+            f"sensor.{name}.{parameter}": np.asarray(value, dtype=float)
+            for name, stated in (self.own or {}).items()
+            for parameter, value in stated.items()
+        }
+        return super().values() | own
 
     def check_lists(self, links: int | None) -> None:
         """Raise `ValueError` if a list has another length than `links`, where that is known."""

@@ -222,15 +222,16 @@ def add_kind(kind: Kind) -> None:
     Raises:
         InputError: a row contradicts one of another kind, or is of no quantity.
     """
-    others = [row for other in KINDS.values() if other.name != kind.name for row in other.channels]
+    rows = [row for other in KINDS.values() if other.name != kind.name for row in other.channels]
     for row in kind.channels:
-        check_row(row, others)
+        _check_row(row, rows)
+        rows.append(row)
     KINDS[kind.name] = kind
     for cached in _CACHED:
         cached.cache_clear()
 
 
-def check_row(row: ChannelKind, others: Iterable[ChannelKind]) -> None:
+def _check_row(row: ChannelKind, others: Iterable[ChannelKind]) -> None:
     """Refuse a row that is of no quantity, or of which others say something else.
 
     Raises:

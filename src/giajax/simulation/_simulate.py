@@ -241,6 +241,7 @@ def integrate(
         arm=arm,
         command=command,
         wind=wind,
+        torque=torque,
         result=_result(solution.result, jnp.all(jnp.isfinite(solution.ys))),
         steps=steps,
     )

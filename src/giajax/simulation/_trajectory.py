@@ -8,11 +8,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..mechanics.arm import Arm, link_centres, tip_position, touched
+from ..mechanics.arm import (
+    Arm,
+    acceleration,
+    joint_torque,
+    link_centres,
+    tip_position,
+    touched,
+)
 from ..runtime.arrays import Array, Bool, Float, Int
 from ..runtime.programs import program
 from ..runtime.text import InputError
-from ._motion import Inputs
+from ._motion import Inputs, along_links
 from ._signal import Signal, constant, ramps, steps
 
 
@@ -53,6 +60,7 @@ class Trajectory(eqx.Module):
         result: how the simulation ended (`RESULTS`); after a failure the samples that were not
             reached are infinite or NaN.
         steps: accepted and rejected steps of the integrator.
+        torque: of the joints' drives beside springs and dampers, or None.
     """
 
     times: Float[Array, " sample"]
@@ -66,6 +74,7 @@ class Trajectory(eqx.Module):
     wind: Signal | None
     result: RESULTS
     steps: Int[Array, "2"]
+    torque: Signal | None = None
 
     @property
     def successful(self) -> Bool[Array, ""]:
@@ -93,6 +102,33 @@ class Trajectory(eqx.Module):
     def commands(self) -> Float[Array, "sample joint"]:
         """Commanded angles at the samples, rad."""
         return jax.vmap(self.command)(self.times)
+
+    @property
+    def accelerations(self) -> Float[Array, "sample joint"]:
+        """Accelerations of the joints at the samples, rad/s^2.
+
+        Raises:
+            InputError: what the joints remember is not known, which moves them.
+        """
+        return self._of_motion("accelerations")
+
+    @property
+    def torques(self) -> Float[Array, "sample joint"]:
+        """Torques of springs, dampers, hysteresis, laws and muscles of the joints, N m.
+
+        Raises:
+            InputError: as of the accelerations.
+        """
+        return self._of_motion("torques")
+
+    def _of_motion(self, what: str) -> Array:
+        if self.memory is None and self.arm.joint_laws.rows:
+            raise InputError(
+                f"the {what} of this motion are not known, because its joints remember and it does "
+                "not: simulate it"
+            )
+        found: Array = _moved(self, what)
+        return found
 
 
 def at_rest(arm: Arm, angles: Float[Array, " joint"]) -> Trajectory:
@@ -123,6 +159,27 @@ def at_rest(arm: Arm, angles: Float[Array, " joint"]) -> Trajectory:
 def _over_samples(function: Callable[..., Any], arm: Arm, *rows: Any) -> Any:
     """Of every sample; compiled, or each operation would be dispatched by itself."""
     return jax.vmap(function, in_axes=(None, *(0 for _ in rows)))(arm, *rows)
+
+
+@program
+def _moved(motion: Trajectory, what: str) -> Array:
+    """Accelerations or torques of the joints at the samples."""
+
+    def at(time: Array, angles: Array, rates: Array, *states: Array | None) -> Array:
+        command, (memory, pressures, skin) = motion.command(time), states
+        if what == "torques":
+            return joint_torque(motion.arm, angles, rates, command, memory, pressures)
+        wind = wind_rate = torque = None
+        if motion.wind is not None:
+            wind = along_links(motion.arm, motion.wind(time))
+            wind_rate = along_links(motion.arm, motion.wind.rate(time))
+        if motion.torque is not None:
+            torque = motion.torque(time)
+        given = (command, wind, wind_rate, torque, memory, pressures, skin)
+        return acceleration(motion.arm, angles, rates, *given)
+
+    states = (motion.memory, motion.pressures, motion.skin)
+    return jax.vmap(at)(motion.times, motion.angles, motion.rates, *states)
 
 
 class Contacts(NamedTuple):

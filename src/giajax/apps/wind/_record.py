@@ -136,6 +136,11 @@ def resting(
                 f"'{run.name}' has {name}, but the arm has {model.arm.count} links: give the arm "
                 "that was recorded"
             )
+        if model.sensors.of_row(run.channels[name].kind) is not None:
+            raise InputError(
+                f"'{run.name}' has {name}, of which there are no spectra here: leave it out with "
+                "--channels"
+            )
     kept = run.times >= run.times[0] + skip
     times = run.times[kept]
     if not 0 <= skip < np.inf or len(times) < 2:

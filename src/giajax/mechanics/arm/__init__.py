@@ -69,6 +69,7 @@ from ._joint_laws import (
 from ._joint_trial import check_joint_law as check_joint_law
 from ._kinematics import (
     Pose as Pose,
+    angular_velocities as angular_velocities,
     link_centres as link_centres,
     link_velocities as link_velocities,
     pose as pose,

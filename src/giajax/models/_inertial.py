@@ -1,0 +1,114 @@
+"""What an IMU and an inclinometer on a link show: rates, specific force and inclination."""
+
+import functools
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from ..mechanics.arm import Pose, angular_velocities, pose
+from ..runtime.arrays import Array, Float, dot, safe_norm
+from ..runtime.plugins import register
+from ..schema import IMU_FORCE, IMU_RATE, INCLINATION
+from ..schema.parameters import parameter
+from ..simulation import Trajectory
+from ._arm_sensors import AbstractSensor, Marker, per_row
+
+PerLink = Float[Array, ""] | Float[Array, " link"] | None
+
+
+def _each(unit: str, doc: str) -> Any:
+    """A parameter of the sensors of all links, or of each, that is left out by default."""
+    return parameter(0.0, unit=unit, doc=doc, optional=True, per="link", each=True)
+
+
+def _in_frames(vectors: Float[Array, "3 link"], here: Pose) -> Float[Array, "link 3"]:
+    """Vectors of the base frame along, to the left and upwards of their links."""
+    assert here.left is not None
+    return jnp.stack([dot(vectors, axis) for axis in (here.direction, here.left, here.up)], axis=-1)
+
+
+def _shifted(
+    shown: Float[Array, "sample link 3"], *offsets: PerLink
+) -> Float[Array, "sample link 3"]:
+    for place, offset in enumerate(offsets):
+        if offset is not None:
+            shown = shown.at[:, :, place].add(per_row(offset, shown[:, :, place]))
+    return shown
+
+
+@register
+class Gyroscope(AbstractSensor):
+    """Angular velocity of each link (`imuNN_gyro_x`): along it, to its left and upwards, rad/s."""
+
+    kind: ClassVar[str] = "gyroscope"
+    channel = IMU_RATE
+
+    offset_x: PerLink = _each("rad/s", "what it shows at rest along a link")
+    offset_y: PerLink = _each("rad/s", "what it shows at rest to the left of a link")
+    offset_z: PerLink = _each("rad/s", "what it shows at rest upwards of a link")
+
+    def values(self, motion: Trajectory) -> Float[Array, "sample link 3"]:
+        """In the frames of the links, with the offsets."""
+
+        def at(angles: Array, rates: Array) -> Array:
+            here = pose(motion.arm, angles, sideways=True)
+            return _in_frames(angular_velocities(here, rates), here)
+
+        shown = jax.vmap(at)(motion.angles, motion.rates)
+        return _shifted(shown, self.offset_x, self.offset_y, self.offset_z)
+
+
+@register
+class Accelerometer(AbstractSensor):
+    """Specific force at a place of each link (`imuNN_accel_x`), m/s^2: at rest g, upwards.
+
+    It is the acceleration of the place less that of gravity, along the link, to its left and
+    upwards.
+    """
+
+    kind: ClassVar[str] = "accelerometer"
+    channel = IMU_FORCE
+
+    along: PerLink = _each("m", "distance of an IMU from the centre of its link, along it")
+    left: PerLink = _each("m", "distance of an IMU to the left of the centre of its link")
+    up: PerLink = _each("m", "distance of an IMU above the centre of its link")
+    offset_x: PerLink = _each("m/s^2", "what it shows too much along a link")
+    offset_y: PerLink = _each("m/s^2", "what it shows too much to the left of a link")
+    offset_z: PerLink = _each("m/s^2", "what it shows too much upwards of a link")
+
+    def values(self, motion: Trajectory) -> Float[Array, "sample link 3"]:
+        """In the frames of the links, with the offsets."""
+        arm = motion.arm
+        place = functools.partial(Marker(self.along, self.left, self.up).on_links, arm)
+
+        def velocity(angles: Array, rates: Array) -> Array:
+            return jax.jvp(place, (angles,), (rates,))[1]
+
+        def at(angles: Array, rates: Array, accelerations: Array) -> Array:
+            moved = jax.jvp(velocity, (angles, rates), (rates, accelerations))[1].T
+            force = moved.at[2].add(arm.gravity)
+            return _in_frames(force, pose(arm, angles, sideways=True))
+
+        shown = jax.vmap(at)(motion.angles, motion.rates, motion.accelerations)
+        return _shifted(shown, self.offset_x, self.offset_y, self.offset_z)
+
+
+@register
+class Inclinometer(AbstractSensor):
+    """Angle of each link above the horizontal (`linkNN_inclination`), rad, from -pi/2 to pi/2."""
+
+    kind: ClassVar[str] = "inclinometer"
+    channel = INCLINATION
+
+    offset: PerLink = _each("rad", "what it shows of a horizontal link")
+
+    def values(self, motion: Trajectory) -> Float[Array, "sample link"]:
+        """Of the direction of each link."""
+
+        def at(angles: Array) -> Array:
+            along = pose(motion.arm, angles).direction
+            return jnp.arctan2(along[2], safe_norm(along.at[2].set(0)))
+
+        shown = jax.vmap(at)(motion.angles)
+        return shown if self.offset is None else shown + per_row(self.offset, shown)

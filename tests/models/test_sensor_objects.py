@@ -1,0 +1,256 @@
+"""Sensors as objects: IMUs and inclinometers in closed form, and those of one's own."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+import giajax
+from giajax import InputError
+from giajax.models import AbstractSensor, Accelerometer, Gyroscope, Inclinometer, Marker, Sensors
+from giajax.schema import KINDS, ChannelKind, add_kind
+from giajax.schema.parameters import parameter
+from giajax.simulation import at_rest, constant
+
+GRAVITY = 9.80665
+
+
+def moving(arm, angles, rates=None, **changes):
+    """An arm at an instant, with the command of its angles."""
+    motion = at_rest(arm, jnp.asarray(angles, float))
+    if rates is not None:
+        changes["rates"] = jnp.asarray(rates, float)[None]
+    return dataclasses.replace(motion, **changes)
+
+
+def bent(links=3, **changes):
+    """An arm that is bent, turns in every joint and has all kinds of forces."""
+    arm = giajax.takeichi_20m(links)
+    arm = giajax.replace(arm, {"gravity": GRAVITY, "base_rotation": [0.1, -0.2, 0.3], **changes})
+    rng = np.random.default_rng(5)
+    return moving(arm, rng.normal(size=links), rng.normal(size=links))
+
+
+def held():
+    """A horizontal link that its spring holds up, at rest."""
+    arm = giajax.chain(1, parameters={"gravity": GRAVITY})
+    load = giajax.inverse_dynamics(arm, *[jnp.zeros(1)] * 3)
+    command = load / arm.spring_stiffness
+    return moving(arm, [0.0], command=constant(command))
+
+
+def test_at_rest_an_accelerometer_shows_g_upwards_and_a_gyroscope_nothing():
+    motion = held()
+    assert np.allclose(motion.accelerations, 0, atol=1e-12)
+    assert np.allclose(Accelerometer().values(motion), [[[0, 0, GRAVITY]]], atol=1e-12)
+    assert np.allclose(Gyroscope().values(motion), 0)
+    # A pendulum that hangs: upwards is back along the link.
+    hanging = moving(giajax.pendulum(1), [0.0])
+    assert np.allclose(Accelerometer().values(hanging), [[[-GRAVITY, 0, 0]]], atol=1e-9)
+    assert np.allclose(Inclinometer().values(hanging), -np.pi / 2)
+
+
+def test_a_link_that_turns_shows_its_rate_and_omega_squared_r_towards_the_joint():
+    arm = giajax.chain(1, joint_axes=["yaw"], length=2.0)
+    arm = giajax.replace(arm, {"joints.damping": 0.0, "air.drag_coefficient": 0.0})
+    motion, omega = moving(arm, [0.4], [3.0]), 3.0
+    assert np.allclose(motion.accelerations, 0, atol=1e-12)
+    assert np.allclose(Gyroscope(offset_z=0.5).values(motion), [[[0, 0, omega + 0.5]]])
+    shown = Accelerometer(along=0.5, offset_y=0.1).values(motion)
+    assert np.allclose(shown, [[[-(omega**2) * 1.5, 0.1, 0]]], atol=1e-12)
+
+
+def test_an_inclinometer_shows_the_angle_above_the_horizontal():
+    motion = moving(giajax.chain(2, joint_axes=["pitch", "pitch"]), [-0.3, 0.5])
+    along = np.asarray(giajax.mechanics.arm.pose(motion.arm, motion.angles[0]).direction)
+    assert np.allclose(Inclinometer(offset=0.1).values(motion), np.arcsin(along[2]) + 0.1)
+
+
+def test_an_accelerometer_shows_second_differences_of_its_place():
+    motion, step = bent(), 1e-4
+    marker = Marker(along=0.2, left=-0.1, up=0.15)
+    angles, rates, speeds_up = motion.angles[0], motion.rates[0], motion.accelerations[0]
+
+    def place(time):
+        return marker.on_links(motion.arm, angles + time * rates + time**2 / 2 * speeds_up)
+
+    second = (place(step) - 2 * place(0.0) + place(-step)) / step**2
+    frames = np.stack(
+        [
+            marker.on_links(motion.arm, angles) - away.on_links(motion.arm, angles)
+            for away in (
+                Marker(along=-0.8, left=-0.1, up=0.15),
+                Marker(along=0.2, left=-1.1, up=0.15),
+                Marker(along=0.2, left=-0.1, up=-0.85),
+            )
+        ],
+        axis=1,
+    )
+    expected = np.einsum("lcx,lx->lc", frames, np.add(second, [0, 0, GRAVITY]))
+    sensor = Accelerometer(along=0.2, left=-0.1, up=0.15)
+    assert np.allclose(sensor.values(motion)[0], expected, rtol=1e-5, atol=1e-4)
+
+
+def test_accelerations_and_torques_are_those_of_a_simulated_motion():
+    arm = giajax.takeichi_20m(2)
+    arm = giajax.replace(arm, {"joints.memory.strength": 0.3, "air.added_mass_coefficient": 0.5})
+    step, ramp = 2e-4, functools.partial(giajax.simulation.ramps, [-1.0, 1.0])
+    motion = giajax.simulate(
+        arm,
+        giajax.joint_ramps(2, {1: 0.5}, duration=0.3),
+        0.5 + step * np.arange(3),
+        wind=ramp([np.zeros(3), np.array([1.0, 2.0, 0.5])]),
+        torque=ramp([np.zeros(2), np.array([0.5, 1.0])]),
+        initial=([0.1, 0.2], [0.5, -0.3]),
+        rtol=1e-10,
+        atol=1e-10,
+    )
+    differences = (motion.rates[2] - motion.rates[0]) / (2 * step)
+    assert np.allclose(motion.accelerations[1], differences, rtol=1e-4)
+    parts = (motion.angles[1], motion.rates[1], motion.commands[1], motion.memory[1])
+    assert np.allclose(motion.torques[1], giajax.mechanics.arm.joint_torque(arm, *parts))
+    forgetful = dataclasses.replace(motion, memory=None)
+    with pytest.raises(InputError, match="its joints remember and it does not: simulate it"):
+        _ = forgetful.accelerations
+
+
+SHIPPED = {
+    "gyroscope": Gyroscope(*[0.1] * 3),
+    "accelerometer": Accelerometer(*[0.1] * 6),
+    "inclinometer": Inclinometer(0.1),
+}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_derivatives_are_those_of_differences_at_rest_too(name):
+    @jax.jit
+    def shown(sensor, stiffness, angles, rates):
+        arm = giajax.replace(giajax.takeichi_20m(2), {"joints.pitch_stiffness": stiffness})
+        return sensor.values(moving(arm, angles, rates, command=constant(jnp.ones(2))))
+
+    for size in (0.0, 1.0):
+        angles, rates = size * jnp.array([0.3, -0.5]), size * jnp.array([0.2, 0.7])
+        check_grads(shown, (SHIPPED[name], jnp.array(5.0), angles, rates), 1, ("fwd", "rev"))
+
+
+def test_a_run_of_an_imu_is_read_fitted_and_stored(tmp_path):
+    arm = giajax.chain(1, joint_axes=["yaw"])
+    truth = giajax.ArmModel(
+        arm, sensors=Sensors(sensor={"gyroscope": Gyroscope(offset_z=[0.05])}), tolerance=1e-8
+    )
+    times = np.linspace(0.0, 3.0, 61)
+    names = ["imu01_gyro_z", "imu01_accel_y", "link01_inclination"]
+    run = giajax.synthesise(
+        truth,
+        times,
+        {"joint01_command": np.sin(2 * times)},
+        names,
+        noise={"rate": 0.01, "acceleration": 0.02, "angle": 0.01},
+        constants=giajax.ArmModel(arm, tolerance=1e-8),
+    )
+    giajax.write_run(tmp_path / "imu.csv", run.times, run.values, definition=run.definition)
+    assert "imu01_accel_y_m_per_s2" in (tmp_path / "imu.csv").read_text()
+    run = giajax.read_run(tmp_path / "imu.csv")
+    assert run.noise("imu01_accel_y") == pytest.approx(0.02)
+    assert run.noise("imu01_gyro_z") == pytest.approx(0.01)
+    model = giajax.model_for([run])
+    free = ["joints.yaw_stiffness", "sensor.gyroscope.offset_z"]
+    result = giajax.fit(model, run, free=free, start={"joints.yaw_stiffness": 20.0})
+    for path, value in {free[0]: 30.0, free[1]: 0.05}.items():
+        estimate = result.parameters[path]
+        assert abs(estimate.value - value) < 3 * estimate.standard_error
+    (tmp_path / "result.json").write_text(result.to_json())
+    stored = giajax.load_result(tmp_path / "result.json")
+    assert np.allclose(stored.predict(run)[names[0]], result.predict(run)[names[0]])
+
+
+@pytest.fixture
+def own_rows():
+    """Rows that a test registers are gone after it."""
+    arm = KINDS["arm"]
+    yield
+    add_kind(arm)
+
+
+def gauge(name="Gauge", row=("gauge", "gaugeNN", "ratio", "output"), **body):
+    """A class of sensors that is registered by nobody yet."""
+    body = {"values": lambda self, motion: motion.torques, **body}
+    return type(
+        name, (AbstractSensor,), {"__module__": "gauges", "channel": ChannelKind(*row), **body}
+    )
+
+
+class Late(AbstractSensor):
+    """Angles of the joints, a moment late."""
+
+    channel = ChannelKind("late_angle", "jointNN_late", "angle", "output")
+    delay: jax.Array = parameter(0.25, unit="s", doc="how late")
+
+    def values(self, motion):
+        return motion.angles
+
+
+@pytest.mark.usefixtures("own_rows")
+def test_a_sensor_with_a_delay_shows_what_was_so_much_earlier():
+    giajax.register(Late)
+    times = np.linspace(0.0, 2.0, 41)
+    values = {
+        "joint01_command": np.sin(times),
+        "joint01_late": np.zeros(41),
+        "joint01_angle": np.zeros(41),
+    }
+    run = giajax.Run.from_arrays(times, values, definition={"arm": {"links": 1}})
+    shown = giajax.predict(giajax.model_for([run]), run)
+    assert np.allclose(shown["joint01_late"][5:], shown["joint01_angle"][:-5], atol=1e-6)
+
+
+@pytest.mark.quick
+@pytest.mark.usefixtures("own_rows")
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (gauge(values=AbstractSensor.values), "Gauge has no values: write it"),
+        (gauge(channel=None), r"Gauge.channel is None: make it the row of its columns"),
+        (gauge(row=("gauge", "gaugeNN", "ratio", "input")), "ChannelKind whose part is .output."),
+        (gauge(row=("tip_position", "tip_x", "length", "output")), "of Gauge is that of giajax"),
+        (gauge(row=("imu_rate", "imuNN_gyro_x", "angle", "output")), "is that of gyroscope"),
+        (gauge(row=("gauge", "tip_x", "ratio", "output")), "there is a channel tip_x already"),
+    ],
+)
+def test_a_sensor_without_a_method_or_with_the_row_of_another_is_refused(wrong, said):
+    kinds = dict(KINDS)
+    with pytest.raises(InputError, match=said):
+        giajax.register(wrong)
+    assert kinds == KINDS
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (
+            lambda self, motion: motion.torques[:, 0],
+            r"values returns the shape \(1,\) for one sample of 2 links: return \(1, 2\), as gauge",
+        ),
+        (lambda self, motion: None, "values returns the shape None"),
+        (lambda self, motion: motion.strains, "values fails .*has no attribute 'strains'"),
+        (
+            lambda self, motion: motion.rates / motion.rates,
+            "values has a value that is not finite",
+        ),
+        (
+            lambda self, motion: jnp.sqrt(motion.rates**2),
+            "values has a derivative that is not finite",
+        ),
+    ],
+)
+def test_a_wrong_sensor_is_refused_before_a_fit_by_the_name_of_its_method(values, said):
+    sensor = type("Gauge", (AbstractSensor,), {"__module__": "gauges", "values": values})
+    sensor.channel = ChannelKind("gauge", "gaugeNN", "ratio", "output")
+    model = giajax.ArmModel(giajax.chain(2), sensors=Sensors(sensor={"Gauge": sensor()}))
+    run = giajax.Run.from_arrays([0.0, 1.0], {"joint01_command": [0.0, 1.0]})
+    with pytest.raises(InputError, match=rf"Gauge\.{said}"):
+        model.prepare(run)
