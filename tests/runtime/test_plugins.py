@@ -15,6 +15,7 @@ from giajax.runtime.plugins import (
     plugins,
     registered,
     source,
+    sources_named,
     sources_of,
 )
 from giajax.runtime.programs import content, structure
@@ -83,6 +84,28 @@ def test_results_and_workers_are_of_the_plug_in_that_was_used(tmp_path):
     with pytest.raises(InputError, match=r"used_law.py has changed while it was in use"):
         load_plugin(path, digest)
     assert "no-such-package 2.0: install it" in hint({"no-such-package": "2.0"})
+
+
+def test_a_class_of_that_name_in_another_file_is_not_that_of_the_result(tmp_path, monkeypatch):
+    versions = {}
+    for name in ("first_laws.py", "other_laws.py"):
+        monkeypatch.setattr(_plugins, "_CLASSES", {})
+        (tmp_path / name).write_text(LAW.format(name="MovedLaw", factor=len(versions) + 1))
+        load_plugin(tmp_path / name)
+        versions = versions or sources_of(registered("drag", "MovedLaw")())
+    assert list(sources_named("drag = 'MovedLaw'")) == ["other_laws.py"]
+    check_sources(versions, "drag = 'strip'")
+    said = r"made with first_laws.py, and here other_laws.py has a class of that name: give the one"
+    with pytest.raises(InputError, match=said):
+        check_sources(versions, "drag = 'MovedLaw'")
+
+
+def test_a_base_that_has_changed_is_seen(monkeypatch):
+    base = type("BaseLaw", (), {"__module__": "base_law"})
+    monkeypatch.setattr(_plugins, "_CLASSES", {"drag": {"Derived": type("Derived", (base,), {})}})
+    monkeypatch.setattr(_plugins, "source", {"base_law": ("base_law.py", "sha256 2")}.get)
+    with pytest.raises(InputError, match=r"base_law.py has changed since"):
+        check_sources({"base_law.py": "sha256 1"})
 
 
 def test_code_of_giajax_and_of_its_libraries_has_no_mark():

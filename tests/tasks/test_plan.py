@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+import giajax
 import small_loops
 from giajax import InputError
 from giajax.tasks import Plan
@@ -176,6 +177,18 @@ def test_fits_by_an_edited_plug_in_are_others(folder, monkeypatch):
         monkeypatch.setattr("giajax.runtime.plugins._PLUGINS", added)
         keys.add(tuple(task.key for task in plan(folder, '[grid]\nloss = ["huber"]').tasks()))
     assert len(keys) == 3
+
+
+def test_fits_by_an_edited_loss_that_a_module_registers_are_others(folder, monkeypatch):
+    body = {"rho": lambda self, r: r**2, "__module__": "planned"}
+    giajax.register(type("PlannedLoss", (giajax.fitting.AbstractLoss,), body))
+    keys = {"huber": set(), "PlannedLoss": set()}
+    for digest in ("one", "two"):
+        there = {"planned": ("planned.py", f"sha256 {digest}")}
+        monkeypatch.setattr("giajax.runtime.plugins.source", there.get)
+        for loss, known in keys.items():
+            known.add(plan(folder, f'[grid]\nloss = ["{loss}"]').tasks()[0].key)
+    assert {loss: len(known) for loss, known in keys.items()} == {"huber": 1, "PlannedLoss": 2}
 
 
 def test_fits_are_known_by_their_content(folder):

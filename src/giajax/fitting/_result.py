@@ -323,7 +323,7 @@ def load_result(path: str | Path) -> FitResult:
     kind = record.pop("model")
     fields = _fields(record, what)
     values = {path: estimate.value for path, estimate in fields["parameters"].items()}
-    check_sources(fields["versions"])
+    check_sources(fields["versions"], f"{kind} {fields['config']}")
     try:
         loss_of(fields["config"].get("loss", "linear"))
         return _of(fields, build_model(kind, fields["config"]["definition"], values))

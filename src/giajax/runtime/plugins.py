@@ -9,9 +9,10 @@ import dataclasses
 import functools
 import hashlib
 import importlib.util
+import re
 import sys
 import sysconfig
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import metadata
 from importlib.metadata import version
 from pathlib import Path
@@ -161,33 +162,54 @@ def mark(value: Any) -> str:
     return "".join(map(str, filter(None, map(source, modules))))
 
 
+def _sources(classes: Iterable[type]) -> dict[str, str]:
+    modules = dict.fromkeys(each.__module__ for cls in classes for each in cls.__mro__)
+    return dict(filter(None, map(source, modules)))
+
+
+def sources_named(text: str) -> dict[str, str]:
+    """As `sources_of`, of the registered classes whose names are words of a text."""
+    words = set(re.findall(r"[\w-]+", text))
+    return _sources(
+        cls for known in _CLASSES.values() for name, cls in known.items() if name in words
+    )
+
+
 def sources_of(tree: Any) -> dict[str, str]:
     """Files and packages of the classes in a tree that are not giajax's, as of `source`."""
     parts: list[Any] = [tree]
-    modules: dict[str, None] = {}
+    classes: list[type] = []
     for part in parts:
         if dataclasses.is_dataclass(part):
-            cls: Any = type(part)
-            modules |= dict.fromkeys(each.__module__ for each in cls.__mro__)
+            classes.append(type(part))
             parts += vars(part).values()
         elif isinstance(part, tuple | list):
             parts += part
         elif isinstance(part, Mapping):
             parts += part.values()
-    return dict(filter(None, map(source, modules)))
+    return _sources(classes)
 
 
-def check_sources(versions: Mapping[str, str]) -> None:
-    """Refuse to go on from what was made with another file of the name of a registered one.
+def check_sources(versions: Mapping[str, str], said: str = "") -> None:
+    """Refuse to go on from what was made with other files than those of the registered classes.
+
+    They are others of the same name, or others of the classes that `said` names.
 
     Raises:
         InputError: naming the file.
     """
-    classes = [cls for known in _CLASSES.values() for cls in known.values()]
-    now = dict(filter(None, (source(cls.__module__) for cls in classes)))
+    now = _sources(cls for known in _CLASSES.values() for cls in known.values())
     for name, text in versions.items():
         if text.startswith(SUM) and now.get(name, text) != text:
             raise InputError(f"{name} has changed since: give the one of then, or fit anew")
+    here = sources_named(said)
+    lost = [file for file in versions.items() if file[1].startswith(SUM) and file[0] not in here]
+    for name, found in here.items():
+        if lost and found.startswith(SUM) and found not in versions.values():
+            raise InputError(
+                f"it was made with {lost[0][0]}, and here {name} has a class of that name: give "
+                "the one of then, or fit anew"
+            )
 
 
 def hint(versions: Mapping[str, str]) -> str:

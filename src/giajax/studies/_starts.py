@@ -21,7 +21,6 @@ from ..fitting import (
     Setup,
     Start,
     between,
-    loss_of,
     parse_result,
     prior_of,
     set_up,
@@ -32,7 +31,7 @@ from ..recordings import FitSettings, Run
 from ..runtime.arrays import sobol_points
 from ..runtime.execution import prepared, run_tasks
 from ..runtime.parallel import Tell, directly, run_in_threads
-from ..runtime.plugins import mark
+from ..runtime.plugins import sources_named
 from ..runtime.programs import content
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
@@ -192,8 +191,9 @@ class Asked:
         """SHA-256 of what decides where a start ends."""
         words = json.dumps([self.config, self.own, self.suited], sort_keys=True)
         data = content([self.model, [fingerprint(run) for run in self.runs]])
-        of_loss = mark(type(loss_of(self.config["loss"])))
-        return hashlib.sha256((words + data + of_loss).encode()).hexdigest()
+        said = [self.config[key] for key in ("loss", "solver", "definition")]
+        others = sources_named(str(said)).items()
+        return hashlib.sha256((words + data + "".join(map(str, others))).encode()).hexdigest()
 
     def setup(self) -> Setup:
         """The setup again, kept in this process for the tasks to come."""

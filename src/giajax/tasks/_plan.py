@@ -10,10 +10,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..recordings import Definition, FitSettings, fit_settings
-from ..runtime.files import check_size, parse_toml, read_text
-from ..runtime.limits import TEXT_BYTES
-from ..runtime.plugins import plugins
+from ..recordings import Definition, FitSettings, fit_settings, sidecar_path
+from ..runtime.files import check_size, parse_toml, read_bytes, read_text
+from ..runtime.limits import RUN_BYTES, TEXT_BYTES
+from ..runtime.plugins import plugins, sources_named
 from ..runtime.tasks import Task
 from ..runtime.text import InputError, one_of, shown
 from ..schema import flat
@@ -333,10 +333,16 @@ class Plan:
     def tasks(self) -> list[Task]:
         """The fits as tasks, one for each case: two with the same key are the same fit."""
         checksums = functools.cache(lambda path: tuple(checksums_of([path]).values()))
-        return [_task(self.fit(case), checksums) for case in self.cases]
+        sidecar = functools.cache(_sidecar_text)
+        return [_task(self.fit(case), checksums, sidecar) for case in self.cases]
 
 
-def _task(fit: FitTask, checksums: Any) -> Task:
+def _sidecar_text(path: Path) -> str:
+    sidecar = sidecar_path(path)
+    return read_bytes(sidecar, RUN_BYTES).decode(errors="replace") if sidecar.exists() else ""
+
+
+def _task(fit: FitTask, checksums: Any, sidecar: Any) -> Task:
     """A fit by the content of its files, which are then wherever they are."""
     if not fit.data:
         raise InputError("the plan has no data: give runs in it, or in its fit definition")
@@ -347,6 +353,8 @@ def _task(fit: FitTask, checksums: Any) -> Task:
     for name in ("truth", "figures", "origin"):
         definition.pop(name, None)
     files = {"data": fit.data, "validation": fit.validation}
+    said = f"{definition} {settings} " + " ".join(map(sidecar, (*fit.data, *fit.validation)))
+    added = {**sources_named(said), **{path.name: digest for path, digest in plugins().items()}}
     return Task(
         "giajax.tasks._sweep:fitted",
         {
@@ -357,7 +365,7 @@ def _task(fit: FitTask, checksums: Any) -> Task:
             },
             "rename": dict(fit.rename),
             "begin": fit.begin,
-            "added": {path.name: digest for path, digest in plugins().items()} or None,
+            "added": added or None,
         },
         aside={
             "paths": {

@@ -94,7 +94,7 @@ def fitted(
 
     The inputs are the name of each file of `data` and `validation` with the SHA-256 of its content
     and of its sidecar, None where there is none; their paths have the same order. What was `added`
-    are the plug-ins, which workers have loaded, with their SHA-256.
+    are the plug-ins and the sources of registered classes that it names, with their SHA-256.
     """
     check_precision()
     for part, files in inputs.items():
