@@ -142,6 +142,19 @@ def test_the_response_is_that_of_the_simulation_to_a_small_wave():
     np.testing.assert_allclose(seen[1, 0], expected[1, 0], rtol=0.01)
 
 
+def test_a_clock_that_is_late_is_a_phase_of_the_spectra_alone():
+    run, guess = read_run(RESTING), first_guess(MEAN, 1e-5, 2.0, 12.0)
+    late = giajax.replace(MODEL, {"encoder.delay": 0.1, "camera.delay": 0.2})
+    records = [resting(model, run) for model in (MODEL, late)]
+    assert not np.any(records[0].delays)
+    assert np.all(records[1].delays)
+    shown = [
+        WindModel(model, record, use_mean=False).about(guess)[0].shows_rate
+        for model, record in zip((MODEL, late), records, strict=True)
+    ]
+    np.testing.assert_array_equal(*shown)
+
+
 def _rest(here):
     """Angles of the rest, from the places of the links: the first pitches, the second yaws."""
     pitch = np.arctan2(here.places[0, 2], here.places[0, 0])

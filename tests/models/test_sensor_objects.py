@@ -12,6 +12,7 @@ from jax.test_util import check_grads
 import giajax
 from giajax import InputError
 from giajax.models import AbstractSensor, Accelerometer, Gyroscope, Inclinometer, Marker, Sensors
+from giajax.runtime.plugins import sources_of
 from giajax.schema import KINDS, ChannelKind, add_kind
 from giajax.schema.parameters import parameter
 from giajax.simulation import at_rest, constant
@@ -204,7 +205,9 @@ def test_a_sensor_with_a_delay_shows_what_was_so_much_earlier():
         "joint01_angle": np.zeros(41),
     }
     run = giajax.Run.from_arrays(times, values, definition={"arm": {"links": 1}})
-    shown = giajax.predict(giajax.model_for([run]), run)
+    model = giajax.model_for([run])
+    assert "test_sensor_objects.py" in sources_of(model)
+    shown = giajax.predict(model, run)
     assert np.allclose(shown["joint01_late"][5:], shown["joint01_angle"][:-5], atol=1e-6)
 
 

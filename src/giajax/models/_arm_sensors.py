@@ -261,6 +261,14 @@ class Sensors(eqx.Module):
             return None
         return self.sensor[name] if name in self.sensor else sensor_class(name)()
 
+    def without_clocks(self) -> "Sensors":
+        """The same camera, markers and angle sensors, none of which is late."""
+        lenses = self.camera.pinholes.items()
+        on_time = {name: dataclasses.replace(each, delay=None) for name, each in lenses}
+        camera = dataclasses.replace(self.camera, delay=None, pinholes=on_time)
+        encoder = dataclasses.replace(self.encoder, delay=None)
+        return dataclasses.replace(self, camera=camera, encoder=encoder)
+
     def with_rows(self, kinds: Iterable[str]) -> "Sensors":
         """With the sensors of these rows of the column table, as far as rows are of some."""
         asked = [_SENSORS[kind] for kind in kinds if kind in _SENSORS]
