@@ -231,6 +231,13 @@ def test_a_sensor_without_a_method_or_with_the_row_of_another_is_refused(wrong, 
     assert kinds == KINDS
 
 
+@pytest.mark.quick
+def test_a_sensor_that_no_result_could_name_is_refused():
+    model = giajax.ArmModel(giajax.chain(2), sensors=Sensors(sensor={"Gauge": gauge()()}))
+    with pytest.raises(InputError, match="there is no registered sensor Gauge, and a result could"):
+        model.definition()
+
+
 @pytest.mark.parametrize(
     ("values", "said"),
     [

@@ -125,6 +125,12 @@ def sensors_to_definition(sensors: Sensors) -> dict[str, dict[str, Any]]:
     """`[sensors]`, `[camera]` and `[landmark]`: what the sensors do not leave out, as in files."""
     values = parameter_values(sensors)
     errors = SensorsSection.keys_of(values)
+    for name, each in sensors.sensor.items():
+        if registered(each.registered_as, name) is not type(each):
+            raise InputError(
+                f"there is no registered sensor {name}, and a result could not name it: call "
+                "giajax.register of its class, and call it as that"
+            )
     if sensors.sensor:
         errors["own"] = {name: _constants(of) for name, of in sensors.sensor.items()}
     sections = {**({"sensors": errors} if errors else {}), **sections_of_cameras(values)}
