@@ -26,6 +26,9 @@ SCALE = (
     "joints.memory.strength",
     "joints.stops.strength",
     "joints.armature",
+    "joints.laws.hardening.cubic",
+    "joints.laws.hardening.quintic",
+    "joints.laws.end_stops.stiffness",
     "torque",
     "alpha.offset",
     "alpha.curvature",
@@ -112,7 +115,8 @@ def scale_conditions(
     area = [path for path in _DRAG_AREA if path not in fitted]
     if "air.drag_coefficient" in fitted and area:
         sentences.append(f"air.drag_coefficient: holds for {_values(model, area)}")
-    if own := sorted(path for path in fitted if path.startswith(("air.law.", "joints.laws."))):
+    others = fitted - set(SCALE)
+    if own := sorted(path for path in others if path.startswith(("air.law.", "joints.laws."))):
         sentences.append(
             f"{', '.join(own)}: not checked, because a law does not say how its force depends "
             "on them; masses, inertias and all forces together scale as everywhere"

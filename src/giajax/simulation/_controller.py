@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.text import InputError
 from ._linearly_implicit import LinearlyImplicit, Solver, solver as method_named
-from ._motion import Rates
+from ._motion import Inputs, Rates, State, fastest_rate
 from ._return_mapping import turns
 from ._signal import last_before
 
@@ -50,6 +50,7 @@ def step_size_controller(
     rates: Rates | None = None,
     *,
     turns: bool = False,
+    mobility: Float[Array, "joint joint"] | None = None,
     inner: diffrax.AbstractAdaptiveStepSizeController | None = None,
 ) -> diffrax.AbstractStepSizeController:
     """Control to the tolerances that steps neither over a corner nor too far, and never hangs.
@@ -60,17 +61,24 @@ def step_size_controller(
         bends: times of which a step that would cross some ends at the last, s.
         rates: of what a derivative may set swinging; None where the motion alone counts.
         turns: whether the equation of motion has a corner where a joint turns round.
+        mobility: inverse of the mass matrix, 1/(kg m^2), where springs may become stiffer in the
+            motion than they are by `rates`.
         inner: what controls the steps to the tolerances in place of `diffrax.PIDController`; its
             own are replaced.
     """
     slowness = stable = jnp.full((), jnp.inf)
+    length = jnp.inf
     if rates is not None:
         slowness = 1 / rates.all
         implicit = isinstance(solver, diffrax.AbstractImplicitSolver)
-        stable = _STABLE.get(type(solver), jnp.inf if implicit else _LEAST) / rates.explicit
+        length = _STABLE.get(type(solver), jnp.inf if implicit else _LEAST)
+        stable = length / rates.explicit
+        if isinstance(solver, LinearlyImplicit):
+            length = jnp.inf
     controller = diffrax.PIDController(rtol, atol) if inner is None else _with(inner, rtol, atol)
     return diffrax.ClipStepSizeController(
-        _Careful(controller, stable, slowness, jnp.sort(bends), turns), jump_ts=corners
+        _Careful(controller, stable, slowness, jnp.sort(bends), turns, length, mobility),
+        jump_ts=corners,
     )
 
 
@@ -126,6 +134,9 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
     slowness: Array
     bends: Array
     turns: bool = eqx.field(static=True)
+    length: float = eqx.field(static=True)
+    """Of a step, times the rate of springs; infinite where they are implicit."""
+    mobility: Array | None
 
     def __init__(
         self,
@@ -134,19 +145,35 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         slowness: Array,
         bends: Float[Array, " knot"],
         turns: bool,
+        length: float,
+        mobility: Array | None,
     ) -> None:
         self.controller = controller
         # An implicit solver takes its own tolerances from here.
         self.rtol, self.atol, self.norm = controller.rtol, controller.atol, controller.norm
         self.longest, self.slowness, self.bends, self.turns = longest, slowness, bends, turns
+        self.length, self.mobility = length, mobility
 
     def wrap(self, direction: Any) -> "_Careful":
         inner: Any = self.controller.wrap(direction)
-        return _Careful(inner, self.longest, self.slowness, self.bends, self.turns)
+        return _Careful(
+            inner, self.longest, self.slowness, self.bends, self.turns, self.length, self.mobility
+        )
 
-    def init(self, terms: Any, t0: Any, *args: Any) -> tuple[Any, Any]:
-        t1, state = self.controller.init(terms, t0, *args)
-        return jnp.minimum(t1, t0 + self.longest), state
+    def init(
+        self, terms: Any, t0: Any, t1: Any, y0: Any, dt0: Any, args: Any, *rest: Any
+    ) -> tuple[Any, Any]:
+        t1, state = self.controller.init(terms, t0, t1, y0, dt0, args, *rest)
+        return jnp.minimum(t1, t0 + self._limits(t0, y0, args)[0]), state
+
+    def _limits(self, time: Any, state: State, inputs: Inputs) -> tuple[Array, Array]:
+        """`longest` and `slowness` of a step that begins here, s."""
+        if self.mobility is None:
+            return self.longest, self.slowness
+        command = inputs.command(jnp.minimum(time, inputs.end))
+        rate = fastest_rate(inputs.arm, state[0], command, mobility=self.mobility)
+        slowness = jnp.minimum(self.slowness, 1 / rate)
+        return jnp.minimum(self.longest, self.length * slowness), slowness
 
     def adapt_step_size(
         self,
@@ -173,9 +200,11 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         # At rest nothing but the tolerance limits how long a step may be for the derivatives to be
         # as exact as the motion: an oscillation of size 1 would ask for about this.
         tolerance = jnp.maximum(self.rtol, self.atol)
-        exact = 25 * tolerance ** (1 / error_order) * self.slowness
+        begin = y0 if self.mobility is None else jnp.where(keep, y1_candidate, y0)
+        stable, slowness = self._limits(next_t0, begin, args)
+        exact = 25 * tolerance ** (1 / error_order) * slowness
         resting = jnp.all(jnp.abs(y_error) <= 1e-5 * tolerance)  # but for rounding
-        longest = jnp.where(resting, jnp.minimum(exact, self.longest), self.longest)
+        longest = jnp.where(resting, jnp.minimum(exact, stable), stable)
         next_t1 = jnp.minimum(next_t1, next_t0 + longest)
         # Steps from bend to bend have their bends at the same places however the last bits of the
         # motion fall: elsewhere each error, and with it each next step, would depend on those.

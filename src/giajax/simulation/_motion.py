@@ -33,18 +33,31 @@ class Rates(NamedTuple):
     explicit: Scalar
 
 
-def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = True) -> Scalar:
+def fastest_rate(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    command: Float[Array, " joint"] | None = None,
+    *,
+    springs: bool = True,
+    mobility: Float[Array, "joint joint"] | None = None,
+) -> Scalar:
     """Rate of the fastest motion of springs, dampers, gravity and lags at some angles (rad), 1/s.
 
-    Without `springs` (and dampers, and the lag of muscles) that of gravity alone.
+    By default these angles are commanded (rad). Without `springs` (and dampers, and the lag of
+    muscles) that of gravity alone. With the `mobility`, which is the inverse of the mass matrix, a
+    bound of it that costs little.
     """
     # Lengths of steps are no part of what is differentiated.
-    arm, angles = jax.lax.stop_gradient((arm, angles))
-    factor = jnp.linalg.cholesky(mass_matrix(arm, angles))
+    arm, angles, command = jax.lax.stop_gradient((arm, angles, command))
+    if mobility is None:
+        factor = jnp.linalg.cholesky(mass_matrix(arm, angles))
 
     def largest(strength: Array) -> Array:
         """Square root of the largest eigenvalue of M^-1 diag(strength)."""
-        root = jnp.diag(jnp.sqrt(jnp.broadcast_to(strength, (arm.count,))))
+        roots = jnp.sqrt(jnp.broadcast_to(strength, (arm.count,)))
+        if mobility is not None:
+            return jnp.sqrt(jnp.max(roots * (jnp.abs(mobility) @ roots)))
+        root = jnp.diag(roots)
         return jnp.linalg.norm(jax.scipy.linalg.solve_triangular(factor, root, lower=True), 2)
 
     # Gravity swings what hangs, too: a bound of its stiffness, from weights times their distances.
@@ -57,7 +70,7 @@ def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = Tr
     if not springs:
         return largest(hanging)
     laws = arm.joint_laws
-    at = laws.at(angles, jnp.zeros_like(angles), angles)
+    at = laws.at(angles, jnp.zeros_like(angles), angles if command is None else command)
     stiffest, (_, damping) = laws.stiffest(at), laws.slopes(at)
     if arm.pneumatics is not None:
         stiffest = stiffest + arm.pneumatics.stiffest(arm.count)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..mechanics.arm import Arm
+from ..mechanics.arm import Arm, mass_matrix
 from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.programs import program
 from ..runtime.text import InputError
@@ -200,17 +200,27 @@ def integrate(
         rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
     method: Any = solver_named(solver, reverse=derivatives == "reverse")
     laws = arm.joints.further_laws
-    fastest = None
+    fastest = mobility = None
     if steps_for == "derivatives":
         rate = fastest_rate(arm, state[0])
         implicit = isinstance(method, LinearlyImplicit)
         fastest = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
+        if arm.joints.laws:
+            mobility = jax.lax.stop_gradient(jnp.linalg.inv(mass_matrix(arm, state[0])))
     moved = Inputs(arm, command, wind, torque, eqxi.prevbefore(end), pressure)
     controller: Any = stepsize_controller
     if not isinstance(controller, diffrax.StepTo):
         turning = laws.rows > 0
         controller = step_size_controller(
-            method, rtol, atol, corners, bends, fastest, turns=turning, inner=controller
+            method,
+            rtol,
+            atol,
+            corners,
+            bends,
+            fastest,
+            turns=turning,
+            mobility=mobility,
+            inner=controller,
         )
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(motion),

@@ -1,5 +1,7 @@
 """Laws of joints: those of giajax, one of one's own, and wrong ones."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -182,7 +184,6 @@ def test_a_motion_with_laws_loses_what_they_say(names):
     motion = giajax.simulate(arm, command, times, solver="springs5", **options)
     other = giajax.simulate(arm, command, times, solver="tsit5", **options)
     assert_allclose(motion.angles, other.angles, rtol=0, atol=1e-6)
-    memory = np.zeros((len(times), 0, 2)) if motion.memory is None else motion.memory
 
     @jax.jit
     @jax.vmap
@@ -192,7 +193,7 @@ def test_a_motion_with_laws_loses_what_they_say(names):
         power = drag_power(arm, angles, rates) + damping_power(arm, rates)
         return energy, power + hysteresis_power(arm, angles, rates, memory, held)
 
-    energy, power = map(np.asarray, balance(motion.angles, motion.rates, jnp.asarray(memory)))
+    energy, power = map(np.asarray, balance(motion.angles, motion.rates, motion.memory))
     lost = np.sum((power[1:] + power[:-1]) / 2 * np.diff(times))
     assert energy[-1] - energy[0] == pytest.approx(lost, abs=1e-3 * energy[0])
     assert energy[0] - energy[-1] > 0.1 * energy[0]
@@ -219,6 +220,34 @@ def test_a_motion_by_parameters_of_a_law_has_their_derivatives():
     assert np.all(np.max(np.abs(found), axis=0) > 1e-4)
 
 
+def test_steps_for_derivatives_are_those_of_the_stiffness_that_springs_come_to():
+    """At rest 0.5 rad from its command a joint is as one whose linear spring has that slope."""
+    start = (jnp.asarray([0.5, 0.0]), jnp.zeros(2))
+    hard = {"joints.pitch_stiffness": 2.0, "joints.laws.hardening.cubic": 8192.0}
+    laws = chain(2, joint_laws=["hardening"], parameters=hard | {"joints.damping": 0.7})
+    linear = {"joints.pitch_stiffness": 2.0 + 3 * 8192 * 0.25, "joints.damping": 0.7}
+    straight = jnp.zeros(2)
+
+    def slope(arm, command, torque):
+        def moved(rate):
+            initial = (start[0], start[1].at[0].add(rate))
+            return giajax.simulate(
+                arm,
+                constant(command),
+                np.linspace(0, 2.0, 3),
+                initial=initial,
+                torque=constant(jnp.asarray([torque, 0.0])),
+                steps_for="derivatives",
+                rtol=1e-5,
+                atol=1e-5,
+            ).angles
+
+        return jax.jit(jax.jacfwd(moved))(0.0)
+
+    found = slope(laws, straight, 2 * 0.5 + 8192 * 0.5**3)
+    assert_allclose(found, slope(chain(2, parameters=linear), start[0], 0.0), atol=1e-5)
+
+
 class Shapeless(Creep):
     def torque(self, at):
         return self.modulus
@@ -227,6 +256,18 @@ class Shapeless(Creep):
 class Coupled(Creep):
     def torque(self, at):
         return -at.states[0] - 0.1 * jnp.roll(at.rates, 2)
+
+
+class Tethered(Creep):
+    """To its neighbour, while their commands are apart from them alike."""
+
+    def torque(self, at):
+        return -at.states[0] - 0.1 * jnp.roll(at.angles - at.command, 1)
+
+
+class Shared(Creep):
+    def unstrained(self, angles):
+        return jnp.zeros((1, angles.size)) + 0.1 * jnp.sum(angles)
 
 
 class Giving(Creep):
@@ -257,6 +298,40 @@ class Counted(Creep):
 
 class Backwards(Creep):
     rows = -1
+
+
+class Called(Creep):
+    def rows(self):
+        return 1
+
+
+class Fractional(Creep):
+    rows = 1.0
+
+
+class Whole(Creep):
+    def unstrained(self, angles):
+        return jnp.zeros((1, angles.size), int)
+
+
+class Imaginary(Creep):
+    def torque(self, at):
+        return (-at.states[0]).astype(complex)
+
+
+class Kinetic(Creep):
+    def energy(self, at):
+        return super().energy(at) + at.rates**2
+
+
+class Softest(Creep):
+    def stiffest(self, at):
+        return jnp.full_like(at.angles, -1.0)
+
+
+class Sloping(Creep):
+    def state_slopes(self, at):
+        return 0.0, 0.0, 0.0
 
 
 class Broken(Creep):
@@ -292,6 +367,15 @@ class Misled(Creep):
     [
         (Shapeless(), r"Shapeless.torque returns the shape \(\) for 4 joints: return \(4,\)"),
         (Coupled(), "Coupled.torque depends on another joint at .*: compute each joint from its"),
+        (Tethered(), "Tethered.torque depends on another joint at"),
+        (Shared(), "Shared.unstrained depends on another joint at"),
+        (Called(), "Called.rows is a method: give 0, or as many states"),
+        (Fractional(), "Fractional.rows is 1.0: give 0, or as many states"),
+        (Whole(), "Whole.unstrained returns int64 where angles are float64: return"),
+        (Imaginary(), "Imaginary.torque returns complex128 where angles are float64"),
+        (Kinetic(), "Kinetic.energy depends on the rate at .*: store by angle, command"),
+        (Softest(), "Softest.stiffest is less than Softest.slopes, or not finite, at"),
+        (Sloping(), r"Sloping.state_slopes returns the shape \(.*: return \(\(1, 4\)"),
         (Giving(), "Giving.torque gives more than Giving.energy had stored, and would make energy"),
         (Forgetting(), "Forgetting.torque gives more than Forgetting.energy had stored"),
         (Rough(), "Rough.torque has a derivative by its rates that is not finite at .* 0 rad/s"),
@@ -308,6 +392,21 @@ class Misled(Creep):
 def test_a_wrong_law_is_refused_before_anything_is_fitted(law, said):
     with pytest.raises(InputError, match=said):
         chain(4, joint_laws=[law])
+
+
+class Counting(Creep):
+    calls: ClassVar[list[object]] = []
+
+    def energy(self, at):
+        self.calls.append(at)
+        return super().energy(at)
+
+
+def test_a_law_is_tried_once_for_its_numbers_and_joints():
+    for joints, modulus, again in ((2, 2.0, True), (2, 2.0, False), (3, 2.0, True), (2, 3.0, True)):
+        Counting.calls.clear()
+        chain(joints, joint_laws=[Counting(modulus=modulus)])
+        assert bool(Counting.calls) == again
 
 
 def test_a_law_that_is_driven_says_so():
@@ -331,6 +430,12 @@ def test_names_of_laws_are_those_of_registered_ones_each_once():
         chain(2, joint_laws=["Nobodys"])
     with pytest.raises(InputError, match="Creep is among joint_laws twice"):
         chain(2, joint_laws=["Creep", Creep()])
+    for wrong in ("hardening", Creep(), Creep, [Creep], ["hardening", None]):
+        with pytest.raises(InputError, match="give a list of names or instances of laws"):
+            chain(2, joint_laws=wrong)
+    for given in (Spring(ONE), Memory(strength=0.1)):
+        with pytest.raises(InputError, match="is what joints have by their parameters"):
+            chain(2, joint_laws=[given])
     with pytest.raises(InputError, match='\'Nobodys\' must be "hardening", "end_stops" or'):
         giajax.recordings.Definition.parse({"arm": {"joint_laws": ["Nobodys"]}}, "test")
     with pytest.raises(InputError, match="there is a joint 'hardening' already"):

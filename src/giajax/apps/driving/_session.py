@@ -222,7 +222,7 @@ class Session:
             left_out = {f"joints.{name}.strength": 0.0 for name, rows in strengths.items() if rows}
             if not left_out:
                 raise InputError(
-                    "the joints of this arm remember nothing: there is nothing to leave out"
+                    "this arm has neither joints.memory nor joints.stops: nothing can be left out"
                 )
             arm = replace(arm, left_out)
         self.model = model

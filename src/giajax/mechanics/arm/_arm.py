@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...runtime.arrays import Array, Float, Scalar
-from ...runtime.plugins import law_named, name_of
+from ...runtime.plugins import law_named, name_of, registered
 from ...runtime.text import InputError
 from ...schema import AIR, BASE, BUOYANCY, LINKS, POINT_MASSES
 from ...schema.parameters import (
@@ -410,11 +410,21 @@ def chain(
 def _laws_of(laws: Sequence[str | AbstractJointLaw]) -> dict[str, AbstractJointLaw]:
     """Laws of joints by name, in its order, as JAX has it."""
     named: dict[str, AbstractJointLaw] = {}
+    if isinstance(laws, str | AbstractJointLaw) or not isinstance(laws, Sequence):
+        raise InputError(f"joint_laws is {laws!r}: give a list of names or instances of laws")
     for each in laws:
+        if not isinstance(each, str | AbstractJointLaw):
+            raise InputError(f"joint_laws has {each!r}: give a list of names or instances of laws")
         law: Any = each if isinstance(each, AbstractJointLaw) else law_named("joint", each)
         if law is None:
             raise InputError(f"there is no joint law {each!r}: register it, or correct the name")
-        if (name := name_of(type(law))) in named:
+        name, kind = name_of(type(law)), type(law)
+        if kind.__module__ == AbstractJointLaw.__module__ and registered("joint", name) is not kind:
+            raise InputError(
+                f"{name} is what joints have by their parameters: give those, such as "
+                "joints.pitch_stiffness or joints.memory.strength, or derive a class of yours"
+            )
+        if name in named:
             raise InputError(f"{name} is among joint_laws twice: derive a class for the other one")
         named[name] = law
     return dict(sorted(named.items()))

@@ -29,7 +29,7 @@ from ._inverse_dynamics import (
     required_torque,
     solve_eliminated,
 )
-from ._joint_laws import JointLaws, JointState, PerJoint, States
+from ._joint_laws import JointLaws, PerJoint, States
 from ._kinematics import Pose, pose, sum_from_tip
 
 
@@ -207,18 +207,18 @@ def hysteresis_power(
     arm: Arm,
     angles: PerJoint,
     rates: PerJoint,
-    memory: States,
+    memory: States | None = None,
     command: PerJoint | None = None,
 ) -> Scalar:
     """Power that the joints' hysteresis takes from the motion for good, W; never positive.
 
-    With that of laws of one's own, to which the command may matter: 0 by default.
+    With that of laws of one's own, to which the command may matter: 0 by default, as are strains.
     """
     laws = arm.joints.further_laws
     if not laws.laws:
         return jnp.zeros(())
     command = jnp.zeros_like(angles) if command is None else command
-    return -laws.dissipation(JointState(angles, rates, command, memory)).sum()
+    return -laws.dissipation(laws.at(angles, rates, command, memory)).sum()
 
 
 def muscle_power(

@@ -88,7 +88,7 @@ class AbstractJointLaw(eqx.Module):
         return -stiffness, -damping
 
     def stiffest(self, at: JointState) -> PerJoint:
-        """Largest stiffness in a motion that begins here, N m/rad; with what the states add."""
+        """Largest stiffness at these angles, N m/rad; with what the states add in a motion."""
         torque, filling, _ = self.state_slopes(at)
         return self.slopes(at)[0] + jnp.sum(torque * filling, axis=0)
 
