@@ -89,13 +89,24 @@ def test_where_it_ends_elsewhere_the_result_says_so(options, reason, sentence):
     assert found.verdict.status == "not evaluated"
 
 
+def test_rounds_of_noise_share_the_iterations():
+    recording, optimiser = run(state_noise=False), optx.LevenbergMarquardt(**FINE)
+    found = fit(Decay(), recording, start=START, optimiser=optimiser, max_iterations=23)
+    assert found.iterations <= 23
+    assert "no optimum in 23 iterations" in found.message
+    whole = fit(Decay(), recording, start=START, optimiser=optimiser, max_iterations=200)
+    assert whole.iterations > 23
+    assert whole.status == "converged"
+
+
 def test_a_failing_model_and_bounds_are_no_way_out():
     """Beyond a decay of 8 the model fails, and its bounds end at 9; one is held on its bound."""
     start = {"amplitude": 1.0, "decay": 7.9, "offset": 0.0}
     bounds = {"offset": (-0.5, 0.2)}
     by_giajax = fit(Decay(), run(), start=start, bounds=bounds, check=False)
     optimiser = optx.LevenbergMarquardt(**FINE)
-    found = fit(Decay(), run(), start=start, bounds=bounds, optimiser=optimiser, check=False)
+    options = {"optimiser": optimiser, "max_iterations": 500}
+    found = fit(Decay(), run(), start=start, bounds=bounds, check=False, **options)
     assert found.parameters["offset"].value == pytest.approx(0.2, abs=1e-12)
     for path, one in found.free.items():
         assert one.value == pytest.approx(by_giajax.parameters[path].value, rel=1e-4), path
@@ -109,13 +120,20 @@ def test_what_is_no_least_squares_solver_is_refused(optimiser):
 
 
 def test_what_cannot_be_journalled_or_sent_to_workers_says_so(tmp_path):
-    recording, optimiser = run(), optx.Dogleg(**FINE)
+    recording, optimiser, steps = run(), optx.Dogleg(**FINE), []
     with (
         concurrent.futures.ThreadPoolExecutor(1) as executor,
         pytest.raises(InputError, match="workers fit by giajax's own optimiser alone: leave out"),
     ):
         giajax.multi_start(
-            Decay(), recording, start=START, starts=3, optimiser=optimiser, executor=executor
+            Decay(), recording, start=START, starts=3, optimiser=optimiser, executor=executor,
+            progress=steps.append,
+        )  # fmt: skip
+    assert not steps
+    before = fit(Decay(), recording, start=START, check=False)
+    with pytest.raises(InputError, match="the result to add starts to is of another fit"):
+        giajax.multi_start(
+            Decay(), recording, start=START, starts=3, before=before, optimiser=optimiser
         )
     small_loops.write_task(tmp_path)
     task = giajax.FitTask.load(tmp_path / "loops_fit.toml").on_top(optimiser=optimiser)

@@ -95,12 +95,25 @@ def test_derivatives_follow_from_the_mode(mode, derivative):
         ({"solver": "Euller()"}, "there is no solver Euller: give one of diffrax, or register"),
         ({"solver": "Tsit5(order=5)"}, r"Tsit5\(order=5\)' is no solver: write it as Python does"),
         ({"solver": "open('x').read()"}, "is no solver: write it as Python does"),
+        ({"solver": "HalfSolver(5)"}, r"there is no solver 'HalfSolver\(5\)'"),
+        (
+            {"solver": diffrax.ImplicitEuler(), "stepsize_controller": diffrax.StepTo(TIMES)},
+            r"ImplicitEuler takes the tolerances .* StepTo has none: give it root_finder",
+        ),
         ({"solver": "PIDController(1, 1)"}, "there is no solver 'PIDController"),
     ],
 )
 def test_what_does_not_work_is_refused(options, sentence):
     with pytest.raises(InputError, match=sentence):
         move(**options)
+
+
+def test_settings_and_a_stepper_refuse_what_a_fit_or_a_motion_would():
+    with pytest.raises(InputError, match=r"fit.solver.*there is no solver Euller: give"):
+        giajax.recordings.fit_settings({"solver": "Euller()"})
+    giajax.Stepper(ARM, 0.1, solver=diffrax.Euler())
+    with pytest.raises(InputError, match="Euler estimates no error of a step"):
+        giajax.Stepper(ARM, 0.1, solver=diffrax.Euler(), tolerance=1e-6)
 
 
 def test_what_slides_needs_an_error_of_each_step():

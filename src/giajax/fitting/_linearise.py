@@ -288,12 +288,42 @@ def _of_moving_jvp(primals: tuple[Array, Any], tangents: tuple[Any, Any]) -> tup
     return row, matrix @ tangents[0]
 
 
+class _AtMost(optx.AbstractLeastSquaresSolver[Any, Any, Any, Any]):
+    """A solver that ends after so many steps, by the same program however many those are."""
+
+    rtol: Any
+    atol: Any
+    norm: Any
+    solver: Any
+    most: Array
+
+    def init(self, fn: Any, y: Any, *rest: Any) -> Any:
+        return self.solver.init(fn, y, *rest), jnp.zeros_like(self.most)
+
+    def step(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> Any:
+        y, inner, aux = self.solver.step(fn, y, args, options, state[0], tags)
+        return y, (inner, state[1] + 1), aux
+
+    def terminate(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> Any:
+        done, result = self.solver.terminate(fn, y, args, options, state[0], tags)
+        late = ~done & (state[1] >= self.most)
+        reached = optx.RESULTS.nonlinear_max_steps_reached
+        return done | late, optx.RESULTS.where(late, reached, result)
+
+    def postprocess(
+        self, fn: Any, y: Any, aux: Any, args: Any, options: Any, state: Any, *rest: Any
+    ) -> Any:
+        return self.solver.postprocess(fn, y, aux, args, options, state[0], *rest)
+
+
 @program
 def minimised(
-    optimiser: optx.AbstractLeastSquaresSolver, y: Array, args: Any, most: int
+    optimiser: optx.AbstractLeastSquaresSolver, y: Array, args: Any, most: Array
 ) -> tuple[Array, Array, Array]:
     """Where a solver of optimistix ends, whether at an optimum, and after how many steps."""
-    end: Any = optx.least_squares(_of_moving, optimiser, y, args, max_steps=most, throw=False)
+    own: Any = optimiser
+    limited = _AtMost(own.rtol, own.atol, own.norm, own, most)
+    end: Any = optx.least_squares(_of_moving, limited, y, args, max_steps=None, throw=False)
     return end.value, end.result == optx.RESULTS.successful, end.stats["num_steps"]
 
 

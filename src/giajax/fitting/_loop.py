@@ -310,9 +310,14 @@ def _by_optimiser(state: FitState) -> FitState:
     coordinate = np.array(state.coordinate)
     places = np.flatnonzero(np.asarray(state.active))
     y = on_device(coordinate[places], coordinate.dtype)
-    y, successful, count = minimised(
-        optimiser, y, (state.problem, state.coordinate, on_device(places)), most
-    )
+    # Of no step first, which compiles the program of any number of them.
+    began, arguments = time.perf_counter(), (state.problem, state.coordinate, on_device(places))
+    minimised(optimiser, y, arguments, on_device(np.array(0)))
+    first, *others = state.step_seconds
+    compiled = first + time.perf_counter() - began
+    state = dataclasses.replace(state, step_seconds=(compiled, *others))
+    left = most - state.trials
+    y, successful, count = minimised(optimiser, y, arguments, on_device(np.array(left)))
     coordinate[places] = np.asarray(y)
     lower, upper = state.problem.bijector.ends()
     there = step(move(state, np.clip(coordinate, np.asarray(lower), np.asarray(upper))))
@@ -326,7 +331,7 @@ def _by_optimiser(state: FitState) -> FitState:
         # Beyond a bound it had no derivative: from the bound it may come back.
         return dataclasses.replace(there, done=False, converged=False)
     reason: Reason
-    if int(count) >= most:
+    if int(count) >= left:
         how, reason = f"found no optimum in {most} iterations: allow more, or", "iterations"
     elif successful:
         how, reason = "ended where a step would still gain: give it smaller tolerances, or", "crawl"

@@ -15,7 +15,7 @@ from pydantic import (
 
 from ..runtime.limits import STARTS
 from ..runtime.plugins import registered
-from ..runtime.solvers import as_text
+from ..runtime.solvers import as_text, from_text
 from ..runtime.text import InputError, shown
 from ..schema import (
     QUANTITY_OF_SUFFIX,
@@ -181,6 +181,14 @@ Values = dict[Name, Finite | list[Finite]]
 """Numbers by path, SI: one for a whole parameter, or one for each of its elements."""
 
 
+def _known_solver(said: Any) -> Any:
+    """A solver as a file states it; a word is known to who takes it."""
+    text = as_text(said)
+    if isinstance(text, str) and "(" in text:
+        from_text(text)
+    return text
+
+
 def _known_optimiser(said: Any) -> Any:
     """A solver of optimistix, which is not imported here."""
     if any(each.__name__ == "AbstractLeastSquaresSolver" for each in type(said).__mro__):
@@ -290,7 +298,7 @@ class FitSettings(Section):
         "Estimate the noise in each run by itself, or (default) in all together.",
         default=False,
     )
-    solver: Annotated[Name | None, BeforeValidator(as_text)] = key(
+    solver: Annotated[Name | None, BeforeValidator(_known_solver)] = key(
         "the name of a solver", "Integration method (springs5), such as tsit5."
     )
     tolerance: Positive | None = key(

@@ -43,7 +43,7 @@ def from_text(text: str) -> Any:
     """
     try:
         return _made(ast.parse(text[:_LONGEST], mode="eval").body)
-    except (SyntaxError, ValueError, TypeError, RecursionError) as error:
+    except Exception as error:
         if isinstance(error, InputError):
             raise
         raise InputError(

@@ -114,6 +114,13 @@ def check_method(solver: Solver, controller: object = None, *, slides: bool = Fa
             f"diffrax.HalfSolver({name}()), or where nothing slides "
             "stepsize_controller=diffrax.StepTo(ts=...)"
         )
+    if fixed and isinstance(method, diffrax.AbstractImplicitSolver):
+        of_controller = diffrax.ImplicitEuler().root_finder.rtol  # what stands for that
+        if method.root_finder.rtol is of_controller:
+            raise InputError(
+                f"{name} takes the tolerances of its equations from an adaptive controller, and "
+                "StepTo has none: give it root_finder=diffrax.VeryChord(rtol=1e-8, atol=1e-8)"
+            )
     if adaptive and controller is not None:
         _with(controller, 0.0, 0.0)
 

@@ -312,7 +312,8 @@ def solver(named: Solver, *, reverse: bool = True) -> diffrax.AbstractSolver[Any
     method: Any = named
     if isinstance(named, str) and "(" in named:
         method = from_text(named)
-    if not isinstance(method, diffrax.AbstractSolver):
+    # A solver around what is none has no terms.
+    if not (isinstance(method, diffrax.AbstractSolver) and hasattr(method, "term_structure")):
         raise InputError(
             f"there is no solver '{named}': use one of {', '.join(SOLVERS)}, or one of diffrax, "
             "such as Kvaerno4()"

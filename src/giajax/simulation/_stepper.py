@@ -13,6 +13,7 @@ from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.programs import program
 from ..runtime.text import InputError
 from ..schema.parameters import is_concrete
+from ._controller import check_method
 from ._linearly_implicit import Solver, solver as solver_named
 from ._motion import Inputs, State, motion
 from ._return_mapping import with_return_mapping
@@ -96,7 +97,10 @@ class Stepper(eqx.Module):
             raise InputError(f"an interval has {self.steps} steps: give at least one")
         if is_concrete(self.tolerance) and self.tolerance is not None and not self.tolerance > 0:
             raise InputError(f"the tolerance is {self.tolerance}: give a positive number, or none")
-        solver_named(self.solver)
+        if self.tolerance is None:
+            solver_named(self.solver)
+        else:
+            check_method(self.solver)
 
     def start(
         self,

@@ -185,7 +185,11 @@ def solve_from_starts(
     setup, settings = setup.at_start(), setup.settings
     starts, values = settings.starts, start_values(setup)
     budget = None if settings.budget_s is None else Budget(settings.budget_s)
-    # A wrong number of cores is refused before the first start, not after it.
+    # What is wrong is refused before the first start, not after it.
+    if executor is not None and settings.optimiser is not None:
+        raise InputError(
+            "workers fit by giajax's own optimiser alone: leave out the executor, or the optimiser"
+        )
     count, spent = cores(), threading.Event()
 
     def one(number: int, earlier: Sequence[FitResult], tell: Tell) -> End | None:

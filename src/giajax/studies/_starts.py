@@ -15,12 +15,14 @@ import numpy as np
 from scipy.special import ndtri
 
 from ..fitting import (
+    AbstractLoss,
     Budget,
     FitResult,
     Iteration,
     Setup,
     Start,
     between,
+    loss_of,
     parse_result,
     prior_of,
     set_up,
@@ -175,16 +177,13 @@ class Asked:
     own: Mapping[str, Mapping[str, float]]
     config: Mapping[str, Any]
     suited: float | None
+    loss: AbstractLoss | None = None  # known where it is unpickled, as the model is
 
     @classmethod
     def of(cls, setup: Setup) -> Self:
         """What a setup asks whose model is where the fit may start."""
-        if setup.settings.optimiser is not None:
-            raise InputError(
-                "workers fit by giajax's own optimiser alone: leave out the executor, or the "
-                "optimiser"
-            )
-        return cls(setup.model, setup.runs, setup.own, setup.config, setup.suited)
+        loss = loss_of(setup.config["loss"])
+        return cls(setup.model, setup.runs, setup.own, setup.config, setup.suited, loss)
 
     @functools.cached_property
     def task_key(self) -> str:
@@ -301,6 +300,9 @@ def _result(setup: Setup, text: str) -> FitResult:
     return dataclasses.replace(bare, model=model)
 
 
+_LIMITS = ("priors", "bounds", "ties", "groups", "begin", "optimiser")
+
+
 def has_earlier_starts(before: FitResult | None, setup: Setup) -> bool:
     """Whether starts can be added to a result; an earlier version chose others, for example."""
     if before is None:
@@ -321,7 +323,9 @@ def earlier_starts(
     Of the same fit from fewer starts: those before the first that did not come to an end.
     """
     asked = json.loads(json.dumps(setup.config))
-    if any(before.config.get(key) != value for key, value in asked.items()):
+    # A configuration has no key of what its fit has not.
+    asked = {**dict.fromkeys(_LIMITS), **asked}
+    if any((before.config.get(key) or None) != (value or None) for key, value in asked.items()):
         raise InputError(
             "the result to add starts to is of another fit: give the same runs and settings"
         )
