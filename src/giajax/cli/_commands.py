@@ -63,7 +63,7 @@ _PLUGINS = Parameter(
     Parameter.KEYWORD_ONLY,
     default=None,
     annotation=Annotated[
-        Paths, "FILE.py", "Import a law or a model of yours, which the file registers."
+        Paths, "FILE.py", "Import the laws, losses, solvers, sensors or models that it registers."
     ],
 )
 

@@ -161,7 +161,7 @@ NoiseModel = Literal["correlated", "white"]
 Loss = Literal["linear", "huber", "soft_l1", "student_t"]
 
 _LOSS = (
-    '"linear", "huber", "soft_l1", "student_t", a registered loss, or a table such as '
+    '"linear", "huber", "soft_l1", "student_t", a registered loss, or in a file a table such as '
     '{ name = "student_t", degrees_of_freedom = 4 }'
 )
 
