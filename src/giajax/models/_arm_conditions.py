@@ -64,6 +64,10 @@ MASSES = (
     "point_masses.mass",
 )
 
+# Laws of one's own, and those among them that are giajax's.
+_OWN = ("air.law.", "joints.laws.")
+_KNOWN = ("joints.laws.hardening.", "joints.laws.end_stops.")
+
 _DRAG_AREA = ("air.density", "links.length", "links.diameter")  # C_D is referred to these (eq. 1)
 _COMMANDED = (
     "counted from the clock of the commands, so that a lag of the drives would look the same"
@@ -115,8 +119,8 @@ def scale_conditions(
     area = [path for path in _DRAG_AREA if path not in fitted]
     if "air.drag_coefficient" in fitted and area:
         sentences.append(f"air.drag_coefficient: holds for {_values(model, area)}")
-    others = fitted - set(SCALE)
-    if own := sorted(path for path in others if path.startswith(("air.law.", "joints.laws."))):
+    own = sorted(p for p in fitted if p.startswith(_OWN) and not p.startswith(_KNOWN))
+    if own:
         sentences.append(
             f"{', '.join(own)}: not checked, because a law does not say how its force depends "
             "on them; masses, inertias and all forces together scale as everywhere"

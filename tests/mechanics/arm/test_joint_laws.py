@@ -142,6 +142,16 @@ def test_its_parameters_are_declared_as_all_others():
     assert set(default_free(arm)) >= paths - {"joints.laws.Creep.time"}
 
 
+def test_forces_of_laws_of_giajax_scale_with_all_others():
+    model = giajax.ArmModel(chain(2, joint_laws=["Creep", "hardening", "end_stops"]))
+    paths = [f"joints.laws.{path}" for path in ("hardening.cubic", "end_stops.lower")]
+    (scale,) = model.conditions(paths, [])
+    assert scale.startswith("joints.laws.hardening.cubic: determined only per unit of mass")
+    assert "joints.laws.end_stops.stiffness = 100 N m/rad" in scale
+    _, own = model.conditions([*paths, "joints.laws.Creep.modulus"], [])
+    assert own.startswith("joints.laws.Creep.modulus: not checked")
+
+
 def test_an_arm_with_laws_goes_through_its_definition():
     arm = chain(2, joint_laws=[Creep(), "end_stops"], parameters={"joints.laws.Creep.time": 0.1})
     model = giajax.ArmModel(arm)

@@ -33,10 +33,10 @@ def check_joint_law(law: AbstractJointLaw, joints: int = 7) -> None:
     While a program is traced nothing is checked.
 
     Raises:
-        InputError: naming the method and what is wrong: an exception, a shape, a value or a
-            derivative that is not finite, a derivative that is not that of the differences, a
-            joint that depends on another one, or more energy than the law has stored, unless its
-            `passive` is False.
+        InputError: naming the method and what is wrong: an exception, a shape, a type of numbers,
+            a value or a derivative that is not finite, a derivative that is not that of the
+            differences, a joint that depends on another one, an energy that depends on the rate,
+            or more energy than the law has stored, unless its `passive` is False.
     """
     if not is_concrete(law):
         return
