@@ -1,4 +1,7 @@
-"""A class is abstract or final: no concrete method of a base class is overridden."""
+"""A class is abstract or final: no concrete method of a base class is overridden.
+
+But for those that a class for others to derive from marks as `optional`.
+"""
 
 import importlib
 import inspect
@@ -26,6 +29,8 @@ def overridden(kind):
         for name, method in vars(base).items():
             concrete = callable(method) or isinstance(method, property | classmethod | staticmethod)
             concrete = concrete and not getattr(method, "__isabstractmethod__", False)
+            function = getattr(method, "fget", None) or getattr(method, "__func__", method)
+            concrete = concrete and not getattr(function, "__isoptional__", False)
             if concrete and not name.startswith("__") and name in vars(kind):
                 yield f"{kind.__name__}.{name} of {base.__name__}"
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..runtime.arrays import Array, Float
-from ..runtime.plugins import name_of, register, registered
+from ..runtime.plugins import name_of, optional, register, registered
 from ..runtime.programs import program
 from ..runtime.text import InputError, shown
 
@@ -90,10 +90,12 @@ class AbstractLoss(eqx.Module):
     def rho(self, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """What each residual counts as, by itself: r^2 near 0, even, never less farther off."""
 
+    @optional
     def transform(self, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """t(r) = sign(r) sqrt(rho(r)): half the sum of t^2 is the cost, as of least squares."""
         return _transform(self, r)
 
+    @optional
     def scores(self, r: Float[np.ndarray, "*n"]) -> Scores:
         """`rho` and its derivatives at residuals, as arrays of NumPy."""
         # Padded to a power of two, of which there are few.

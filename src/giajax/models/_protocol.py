@@ -11,7 +11,7 @@ import numpy as np
 
 from ..recordings import Definition, Run, upgraded
 from ..runtime.arrays import Array, Bool, Float
-from ..runtime.plugins import registered
+from ..runtime.plugins import optional, registered
 from ..runtime.text import InputError, one_of
 from ..schema import KINDS, ChannelKind, Kind, Section, add_kind
 from ..schema.parameters import declared, replace
@@ -179,6 +179,7 @@ class AbstractModel(eqx.Module):
         """Its name, in `giajax.schema.KINDS` where it is a kind: a constant of its class."""
 
     @classmethod
+    @optional
     def for_runs(cls, runs: Sequence[Run]) -> Self:
         """The model of some runs, with the constants that their sidecars state, if it has any."""
         return cls()
@@ -188,6 +189,7 @@ class AbstractModel(eqx.Module):
         """What it is made from, its parameters apart, as plain data."""
 
     @classmethod
+    @optional
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The model that `definition()` described, with any values of its parameters."""
         if definition:

@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 from .text import InputError, one_of
 
 Registered = TypeVar("Registered", bound=type)
+F = TypeVar("F")
 
 _CLASSES: dict[str, dict[str, Any]] = {}
 _PLUGINS: dict[Path, str] = {}  # with the SHA-256 of what was run
@@ -153,6 +154,12 @@ def source(module: str) -> tuple[str, str] | None:
 # Their versions are in every key, and in every result.
 OURS = {"giajax", "jax", "jaxlib", "jaxtyping", "equinox", "diffrax", "optimistix", "lineax"}
 OURS |= {"numpy", "scipy", "pydantic", "polars"} | sys.stdlib_module_names
+
+
+def optional(method: F) -> F:
+    """Mark what a class that others derive from does by default, and theirs may do otherwise."""
+    method.__isoptional__ = True  # type: ignore[attr-defined]
+    return method
 
 
 def mark(value: Any) -> str:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...runtime.arrays import Array, Bool, Float, Scalar
-from ...runtime.plugins import register
+from ...runtime.plugins import optional, register
 from ...runtime.text import InputError
 from ...schema import JOINT_MEMORY, JOINT_STOPS
 from ...schema.parameters import parameter
@@ -56,6 +56,7 @@ class AbstractJointLaw(eqx.Module):
     """Whether the law claims never to give more energy than it has stored."""
 
     @property
+    @optional
     def rows(self) -> int:
         """Own states of each joint, a constant."""
         return 0
@@ -68,30 +69,36 @@ class AbstractJointLaw(eqx.Module):
     def energy(self, at: JointState) -> PerJoint:
         """Energy that is stored in each joint and given back, whatever its rate, J."""
 
+    @optional
     def unstrained(self, angles: PerJoint) -> States:
         """The states of joints that were never moved from these angles (rad); 0 by default."""
         return jnp.zeros((self.rows, angles.size), angles.dtype)
 
+    @optional
     def rate(self, at: JointState) -> States:
         """How fast the states change, 1/s; not at all by default."""
         return jnp.zeros_like(at.states)
 
+    @optional
     def return_mapped(self, angles: PerJoint, states: States) -> States:
         """The states after a motion to these angles (rad) in which no joint turned round."""
         del angles
         return states
 
+    @optional
     def slopes(self, at: JointState) -> tuple[PerJoint, PerJoint]:
         """Stiffness (N m/rad) and damping (N m s/rad), at constant states: how the torque falls."""
         stiffness = _slope(lambda x: self.torque(at._replace(angles=x)), at.angles)
         damping = _slope(lambda x: self.torque(at._replace(rates=x)), at.rates)
         return -stiffness, -damping
 
+    @optional
     def stiffest(self, at: JointState) -> PerJoint:
         """Largest stiffness at these angles, N m/rad; with what the states add in a motion."""
         torque, filling, _ = self.state_slopes(at)
         return self.slopes(at)[0] + jnp.sum(torque * filling, axis=0)
 
+    @optional
     def dissipation(self, at: JointState) -> PerJoint:
         """Power that becomes heat, W: what of the torque's power is not stored."""
 
@@ -101,6 +108,7 @@ class AbstractJointLaw(eqx.Module):
         moved = (at.rates, self.rate(at))
         return -self.torque(at) * at.rates - jax.jvp(energy, (at.angles, at.states), moved)[1]
 
+    @optional
     def state_slopes(self, at: JointState) -> tuple[States, States, States]:
         """How torque and own states depend on each other; what would run away is left out.
 
@@ -127,6 +135,7 @@ class AbstractJointLaw(eqx.Module):
         return torque, jnp.where(torque * filling < 0, 0, filling), jnp.maximum(forgetting, 0)
 
     @property
+    @optional
     def slides(self) -> bool:
         """Whether states have to be `return_mapped`."""
         return type(self).return_mapped is not AbstractJointLaw.return_mapped
