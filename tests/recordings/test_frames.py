@@ -40,13 +40,24 @@ def stamped():
     return pandas_frame().drop(columns="time_s").set_index(stamps.rename("time"))
 
 
+def zoned():
+    frame = stamped()
+    return frame.set_index(frame.index.tz_localize("Europe/Berlin").rename(None))
+
+
+def numbered():
+    """An index that is no column."""
+    return pandas_frame().rename_axis("sample")
+
+
 def dataset():
     xarray = pytest.importorskip("xarray")
     data = {
         "joint01_command_deg": ("time", COLUMNS["joint01_command_deg"]),
         "tip_z": ("time", COLUMNS["tip_z_mm"], {"units": "mm"}),
     }
-    return xarray.Dataset(data, {"time": ("time", TIMES, {"units": "s"})})
+    coordinates = {"time": ("time", TIMES, {"units": "s"}), "experiment": 7}
+    return xarray.Dataset(data, coordinates)
 
 
 FRAMES = [
@@ -55,6 +66,8 @@ FRAMES = [
     pandas_frame,
     pandas_index,
     stamped,
+    zoned,
+    numbered,
     dataset,
 ]
 
@@ -68,6 +81,14 @@ def test_units_may_stand_beside_names():
     columns = {"time": TIMES, "joint01_command_deg": [0, 5, 10, 10], "tip_z": [0, 40, None, 90]}
     units = {"time": "s", "tip_z": "mm"}
     check(Run.from_frame(columns, units=units, noise={"position": 0.005}))
+
+
+def test_a_duration_keeps_its_beginning():
+    spans = (TIMES * 1000 + 5000).astype("timedelta64[ms]")
+    run = Run.from_frame({**COLUMNS, "time_s": spans})
+    np.testing.assert_allclose(run.times, TIMES + 5)
+    with pytest.raises(InputError, match="units has 'time'"):
+        Run.from_frame({"time": spans, "tip_z_m": TIMES}, units={"time": "ms"})
 
 
 def test_a_frame_of_a_run_is_its_file(tmp_path):

@@ -242,7 +242,7 @@ class FitResult:
     def to_frame(self) -> "pl.DataFrame":
         """The parameters that are shown, in SI units, as a frame of Polars: a row for each.
 
-        `low` and `high` hold the value by 95 %; `.to_pandas()` makes it a frame of pandas.
+        `low` and `high` hold the value by 95 %.
         """
         import polars as pl
 
@@ -260,7 +260,7 @@ class FitResult:
             for path, one in self.shown.items()
             for value in np.ravel(one.value)
         ]
-        return pl.DataFrame(rows)
+        return pl.DataFrame(rows, infer_schema_length=None)
 
     def to_json(self) -> str:
         """The result as JSON; what is not finite becomes null."""

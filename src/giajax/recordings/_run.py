@@ -236,10 +236,12 @@ class Run:
             >>> values = {"joint01_command": [0.0, 0.5, 0.5], "link20_z": [0.0, 0.4, 2.0]}
             >>> run = giajax.Run.from_arrays([0.0, 1.0, 2.0], values, noise={"position": 0.01})
         """
+        # First, because it may name a model whose columns a package declares.
+        stated = _definition(definition, name)
         channels = {channel: Channel.named(channel) for channel in values}
         if "time" in channels:
             raise InputError(f"{name}: 'time' is among the values: give it as the first argument")
-        return cls._of(channels, times, values, name, noise, definition)
+        return cls._of(channels, times, values, name, noise, stated)
 
     @classmethod
     def from_frame(
@@ -271,6 +273,7 @@ class Run:
             >>> float(run.values["tip_z"][1])
             0.04
         """
+        described = _definition(definition, name)
         given, stated = _columns(frame)
         stated = {**stated, **(units or {})}
         if absent := [column for column in stated if column not in given]:
@@ -293,7 +296,7 @@ class Run:
             else:
                 values[channel.name] = array
         channels = {channel.name: channel for channel in named.values() if channel.name in values}
-        return cls._of(channels, times, values, name, noise, definition)
+        return cls._of(channels, times, values, name, noise, described)
 
     @classmethod
     def _of(
@@ -303,11 +306,9 @@ class Run:
         values: Mapping[str, npt.ArrayLike],
         name: str,
         noise: Mapping[str, float] | None,
-        definition: Definition | Mapping[str, Any] | None,
+        definition: Definition,
     ) -> "Run":
         """Check arrays in SI units, with what a sidecar would say of them."""
-        if not isinstance(definition, Definition):
-            definition = Definition.parse(definition or {}, f"{name}: definition")
         if noise:
             section = {"noise": noise_section(noise, channels)}
             definition = definition.merged_with(Definition.parse(section, f"{name}: noise"))
@@ -329,7 +330,7 @@ class Run:
     def to_frame(self) -> "pl.DataFrame":
         """The run as a frame of Polars, whose columns are those of its file, in their units.
 
-        `.to_pandas()` makes it one of pandas.
+        `pandas.DataFrame(run.to_frame().to_dict(as_series=False))` is one of pandas.
         """
         import polars as pl
 
@@ -425,31 +426,59 @@ def build_run(
     return run
 
 
+def _definition(said: Definition | Mapping[str, Any] | None, name: str) -> Definition:
+    return (
+        said
+        if isinstance(said, Definition)
+        else Definition.parse(said or {}, f"{name}: definition")
+    )
+
+
 def _columns(frame: Any) -> tuple[dict[str, Any], dict[str, str]]:
     """The columns of a table, and the units that it states beside their names."""
     stated = {}
     if hasattr(frame, "data_vars"):
-        columns = {str(name): each.values for name, each in frame.variables.items()}
-        units = {str(name): each.attrs.get("units") for name, each in frame.variables.items()}
+        known = {
+            str(name): each
+            for name, each in frame.variables.items()
+            if name in frame.data_vars or match_name(str(name)) is not None
+        }
+        columns = {name: each.values for name, each in known.items()}
+        units = {name: each.attrs.get("units") for name, each in known.items()}
         stated = {name: unit for name, unit in units.items() if unit and _lacks_unit(name)}
     elif isinstance(frame, Mapping):
         columns = {str(name): values for name, values in frame.items()}
     elif hasattr(frame, "columns"):
-        columns = {str(name): frame[name].to_numpy() for name in frame.columns}
+        columns = {str(name): _values(frame[name]) for name in frame.columns}
         index = getattr(frame, "index", None)
-        if index is not None and index.name is not None:
-            columns = {str(index.name): index.to_numpy(), **columns}
+        if index is not None:
+            array = _values(index)
+            if index.name is None and array.dtype.kind in "mM":
+                columns["time"] = array
+            elif index.name is not None and match_name(str(index.name)) is not None:
+                columns = {str(index.name): array, **columns}
     else:
         raise InputError(
             f"a run is not made from a {type(frame).__name__}: give a frame of pandas or Polars, "
             "a dataset of xarray, or arrays by name"
         )
     for name in {"time", "time_s"} & columns.keys():
-        # Stamps of a clock, in seconds from the first.
-        if (stamps := np.asarray(columns[name])).dtype.kind in "mM":
-            columns[name] = (stamps - stamps[:1]) / np.timedelta64(1, "s")
-            stated |= {name: "s"} if name == "time" else {}
+        stamps = np.asarray(columns[name])
+        if stamps.dtype.kind in "mM":
+            # Of a calendar from the first one on; they need no unit.
+            since = stamps - stamps[:1] if stamps.dtype.kind == "M" else stamps
+            columns.pop(name)
+            stated.pop(name, None)
+            columns["time_s"] = since / np.timedelta64(1, "s")
     return columns, stated
+
+
+def _values(column: Any) -> npt.NDArray[Any]:
+    """The values of a column of pandas or Polars; stamps with a time zone are those of UTC."""
+    if getattr(column.dtype, "tz", None) is not None:
+        column = getattr(column, "dt", column).tz_convert(None)
+    array: npt.NDArray[Any] = column.to_numpy()
+    return array
 
 
 def _lacks_unit(name: str) -> bool:

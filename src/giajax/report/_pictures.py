@@ -133,13 +133,13 @@ def plot(result: FitResult, run: Run) -> Figure:
     Example:
         >>> giajax.report.plot(result, run).savefig("fit.png")  # doctest: +SKIP
     """
-    record = next((each for each in result.runs if each.name == run.name), None)
-    if record is None:
-        raise InputError(
-            f"the run {run.name} was not fitted: give one of "
-            f"{one_of(each.name for each in result.runs)}"
-        )
-    return recorded_figure(result, run, result.predict(run), record)
+    known = (run.name, run.sha256)
+    records = [each for each in result.runs if (each.name, each.sha256) == known]
+    if len(records) != 1:
+        why = "several of that name were" if records else "it was not"
+        names = one_of(dict.fromkeys(each.name for each in result.runs))
+        raise InputError(f"the run {run.name} has no record, as {why} fitted: give one of {names}")
+    return recorded_figure(result, run, result.predict(run), records[0])
 
 
 def recorded_figure(
