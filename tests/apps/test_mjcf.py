@@ -126,6 +126,23 @@ def test_the_arm_of_the_paper_moves_as_in_mujoco_with_its_air(tmp_path):
         np.testing.assert_allclose(tips, motion.tip, atol=1e-4)
 
 
+def test_what_a_file_switches_off_is_off(tmp_path):
+    flags = '<flag gravity="disable" spring="disable" damper="disable"/>'
+    text = CAPSULES.replace('gravity="0 0 -9.81"/>', f'gravity="0 0 -9.81">{flags}</option>')
+    arm = read_mjcf(written(tmp_path, "off.xml", text)).arm
+    assert float(arm.gravity) == 0
+    assert float(arm.joints.pitch_stiffness) == 0
+    np.testing.assert_array_equal(arm.joints.damping, 0)
+    floating = CAPSULES.replace('<body pos="0.5 0 0">', '<body pos="0.5 0 0" gravcomp="1">')
+    assert "gravcomp of bodies is lost" in read_mjcf(written(tmp_path, "up.xml", floating)).lost
+
+
+def test_an_arm_that_mujoco_refuses_is_named():
+    arm = giajax.chain(2, inertia_axial=1.0, inertia_transverse=0.1)
+    with pytest.raises(giajax.InputError, match="MuJoCo refuses this arm"):
+        export_mjcf(arm)
+
+
 def test_what_is_lost_is_said(tmp_path):
     arm, _, _, _, lost = read_mjcf(written(tmp_path, "robot.urdf", ROBOT), diameter=0.05)
     assert any("limits" in sentence for sentence in lost)

@@ -127,9 +127,9 @@ def read_mjcf(
         inertia_transverse=lateral[:, 1],
         inertia_axial=lateral[:, 0],
         joint_axes=axes.tolist(),
-        joint_laws=("end_stops",) if np.any(model.jnt_limited) else (),
+        joint_laws=("end_stops",) if "joints.laws.end_stops.lower" in joints else (),
         base_rotation=Rotation.from_matrix(world @ frame).as_rotvec(),
-        gravity=float(np.linalg.norm(model.opt.gravity)),
+        gravity=0.0 if _disabled(model, "GRAVITY") else float(np.linalg.norm(model.opt.gravity)),
         point_masses=points,
         parameters=joints | dict(parameters or {}),
     )
@@ -187,22 +187,30 @@ def _lost(model: "mujoco.MjModel") -> Iterator[str]:
     yield from (f"the file's {name} are lost" for name, count in counts.items() if count)
     if model.opt.density or model.opt.viscosity:
         yield "the medium of MuJoCo is lost: the air is giajax's"
+    if np.any(model.body_gravcomp):
+        yield "gravcomp of bodies is lost"
+    # Of version 4 on.
+    for name in ("jnt_stiffnesspoly", "dof_dampingpoly"):
+        if np.any(getattr(model, name, 0.0)):
+            yield "of polynomials of stiffness and damping all but the linear part is lost"
     if np.any((model.geom_contype != 0) | (model.geom_conaffinity != 0)):
         yield "geoms touch nothing: obstacles are stated in [arm]"
 
 
 def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, Any]:
     """Parameters of the joints by path; `lost` grows by what they cannot say."""
-    found: dict[str, Any] = {"joints.damping": np.array(model.dof_damping)}
+    dampers = not (_disabled(model, "DAMPER") or _disabled(model, "PASSIVE"))
+    springs = not (_disabled(model, "SPRING") or _disabled(model, "PASSIVE"))
+    found: dict[str, Any] = {"joints.damping": np.array(model.dof_damping) * dampers}
     yaw = np.abs(axes[:, 2]) > np.sqrt(0.5)  # as `Joints.is_yaw`
     for name, which in (("pitch", ~yaw), ("yaw", yaw)):
-        several = sorted(set(model.jnt_stiffness[which].tolist())) or [0.0]
+        several = sorted(set((model.jnt_stiffness[which] * springs).tolist())) or [0.0]
         found[f"joints.{name}_stiffness"] = several[0] if len(several) == 1 else 0.0
         if len(several) > 1:
             lost.append(f"springs are lost: those of {name} joints have several stiffnesses")
     if np.any(model.dof_armature):
         found["joints.armature"] = np.array(model.dof_armature)
-    if np.any(model.jnt_limited):
+    if np.any(model.jnt_limited) and not _disabled(model, "LIMIT"):
         limits = np.where(
             model.jnt_limited[:, None], model.jnt_range - model.qpos0[:, None], [-np.pi, np.pi]
         )
@@ -211,10 +219,20 @@ def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, 
         lost.append("limits of joints are stops of giajax's stiffness (joints.laws.end_stops)")
         if np.any((limits[:, 0] > 0) | (limits[:, 1] < 0)):
             lost.append("a range without 0 in it is extended to 0")
-    if np.any(model.dof_frictionloss):
+        if np.any(np.abs(limits) > np.pi) or not np.all(model.jnt_limited):
+            lost.append("beside joints with limits, those of the others are 180 deg")
+    if np.any(model.dof_frictionloss) and not _disabled(model, "FRICTIONLOSS"):
         found["joints.friction"] = np.array(model.dof_frictionloss)
         lost.append("frictionloss, which sticks at rest, is a smooth friction here")
     return found
+
+
+def _disabled(model: "mujoco.MjModel", what: str) -> bool:
+    """Whether a flag of the file switches something off, where this version knows the flag."""
+    import mujoco
+
+    flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{what}", None)
+    return flag is not None and bool(model.opt.disableflags & flag)
 
 
 class _Part(NamedTuple):
@@ -392,7 +410,11 @@ def export_mjcf(arm: Arm) -> ExportedArm:
     _add(body, "site", name="tip", pos=[length[-1], 0.0, 0.0])
     indent(root)
     text = tostring(root, encoding="unicode") + "\n"
-    mujoco.MjSpec.from_string(text).compile()
+    try:
+        mujoco.MjSpec.from_string(text).compile()
+    except ValueError as error:
+        sentence = " ".join(str(error).split())
+        raise InputError(f"MuJoCo refuses this arm ({sentence}): correct its links") from None
     air, factor = arm.air, float(arm.air.density) * radius * length
     axial = 0.0 if air.axial_coefficient is None else float(air.axial_coefficient)
     upwards = lift(arm)
@@ -431,7 +453,7 @@ def _not_exported(arm: Arm) -> Iterator[str]:
         "added mass": arm.air.added_mass_coefficient is not None,
         "the dependence of drag on the Reynolds number": arm.air.drag_curve != "constant",
         "the law of drag": arm.air.law is not None,
-        "hysteresis of joints, or a law of theirs,": bool(arm.joints.further_laws.laws),
+        "what joints have beside springs, dampers and friction": bool(arm.joints.further_laws.laws),
         "muscles, and what balloons resist": arm.pneumatics is not None,
         "obstacles": arm.contact is not None,
         "drag of point masses": points is not None and points.drag_area is not None,

@@ -43,7 +43,7 @@ def mjcf(
     from ..models import arm_to_definition, parameter_values
     from ..recordings import to_toml, write_files
 
-    if source.suffix in _THEIRS:
+    if source.suffix.lower() in _THEIRS:
         read = read_mjcf(source, diameter=diameter)
         section, values = arm_to_definition(read.arm), parameter_values(read.arm)
         stated = {path: value for path, value in values.items() if path in read.stated}
@@ -57,6 +57,8 @@ def mjcf(
     else:
         if out is None:
             raise InputError("three files are written: give --out FOLDER")
+        if diameter is not None:
+            raise InputError("--diameter is of a file of MuJoCo, and links have one: leave it out")
         arm = driven_arm(source, None, None)[1].arm
         files, lost = export_mjcf(arm)
         contents = {name: text.encode() for name, text in files.items()}
