@@ -99,6 +99,11 @@ def balloon(kind="balloon", **more):
     return type("Balloon", (giajax.AbstractModel,), body)
 
 
+def row(column, quantity, part="output", **more):
+    """The channels of a model that has one."""
+    return (ChannelKind("cord", column, quantity, part, **more),)
+
+
 @pytest.fixture
 def own_kinds():
     """Kinds that a test registers are gone after it."""
@@ -153,6 +158,23 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
             {"channels": (ChannelKind("fullness", "fullness", "litres", "output"),)},
             "the channel fullness is of no quantity 'litres': use time, angle",
         ),
+        ({"kind": property(lambda self: "kite")}, r"Balloon.kind is <property .*: make it a text"),
+        ({"kind": "contents"}, "no section can be called 'contents': give the model another"),
+        ({"kind": "my kite"}, "no section can be called 'my kite': give the model another"),
+        ({"channels": ("height",)}, r"channels is \('height',\): make it a tuple of .*ChannelKind"),
+        ({"channels": row("x(", "length")}, r"the channel x\( is no name: use letters, digits"),
+        ({"channels": row("aNN_bNN", "length")}, "the channel aNN_bNN is no name: .* NN once"),
+        ({"channels": row("time", "length")}, "the channel time of the row .* rename it"),
+        ({"channels": row("cord", "length", "measured")}, "has no part 'measured' in a model: use"),
+        ({"channels": row("cord", "text")}, "the channel cord is a text of no values: state them"),
+        (
+            {"channels": row("cord", "length", noise="position")},
+            "cord has no noise of the key 'position': use position_m, or leave it out",
+        ),
+        (
+            {"channels": row("cord", "force", noise="position_m")},
+            "cord has no noise of the key 'position_m': leave it out",
+        ),
     ],
 )
 def test_a_kind_that_contradicts_what_there_is_is_refused(more, said):
@@ -160,7 +182,7 @@ def test_a_kind_that_contradicts_what_there_is_is_refused(more, said):
     with pytest.raises(giajax.InputError, match=said):
         giajax.register(wrong)
     assert kinds == KINDS
-    assert registered("model", wrong.kind) is None
+    assert registered("model", "wrong") is None
 
 
 @pytest.mark.quick
@@ -180,6 +202,44 @@ def test_the_model_of_a_package_is_imported_where_a_sidecar_names_it(tmp_path, m
     with pytest.raises(giajax.InputError, match="not in the column table"):
         giajax.read_run(data)
     data.with_suffix(".toml").write_text('model = "packaged"\n')
-    assert giajax.read_run(data).model == "packaged"
+    run = giajax.read_run(data)
+    assert run.kind.name == "packaged"
+    # A process of workers gets the run alone.
+    monkeypatch.setattr("giajax.runtime.plugins._CLASSES", {})
+    del KINDS["packaged"]
+    assert run.kind.outputs == ("fullness",)
     with pytest.raises(giajax.InputError, match=r"model = 'other' must be .*, or a registered"):
         Definition.parse({"model": "other"})
+    giajax.register(balloon(kind="mute", channels=()))
+    with pytest.raises(giajax.InputError, match="'mute' is a model that declares no channels"):
+        Definition.parse({"model": "mute"})
+
+
+@pytest.mark.quick
+@pytest.mark.usefixtures("own_kinds")
+def test_a_fit_of_several_kinds_one_of_which_is_ones_own_is_loaded():
+    kite = balloon(kind="kite", channels=row("cord", "length"), definition=lambda self: {})
+    sized = {"definition": lambda self: {"size": 3}, "from_definition": classmethod(from_size)}
+    giajax.register(kite)
+    giajax.register(balloon(**sized))
+    bench = giajax.Run.from_arrays(
+        None, {"pressure": [1e5], "contraction": [0.1], "phase": ["fill"], "force": [1.0]}
+    )
+    runs = [giajax.Run.from_arrays([0.0, 1.0], {name: [1.0, 2.0]}) for name in FULL]
+    model = giajax.model_for([bench, *runs])
+    stored = model.definition()
+    assert stored["muscle"]
+    assert stored["size"] == 3
+    loaded = giajax.models.build_model(model.kind, stored, {})
+    assert [part.kind for part in loaded.parts] == ["muscle", "kite", "balloon"]
+    needs = balloon(kind="needs", channels=row("needs", "length"), __annotations__={"size": float})
+    with pytest.raises(giajax.InputError, match="the model Balloon is not made from its defaults"):
+        needs.for_runs(runs)
+
+
+FULL = ("cord", "balloon01_fullness")
+
+
+def from_size(cls, definition):
+    assert definition == {"size": 3}
+    return cls()

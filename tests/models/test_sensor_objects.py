@@ -222,6 +222,7 @@ def test_a_sensor_with_a_delay_shows_what_was_so_much_earlier():
         (gauge(row=("tip_position", "tip_x", "length", "output")), "of Gauge is that of giajax"),
         (gauge(row=("imu_rate", "imuNN_gyro_x", "angle", "output")), "is that of gyroscope"),
         (gauge(row=("gauge", "tip_x", "ratio", "output")), "there is a channel tip_x already"),
+        (gauge(row=("gauge", "gauge(", "ratio", "output")), r"the channel gauge\( is no name"),
     ],
 )
 def test_a_sensor_without_a_method_or_with_the_row_of_another_is_refused(wrong, said):
@@ -231,8 +232,31 @@ def test_a_sensor_without_a_method_or_with_the_row_of_another_is_refused(wrong, 
     assert kinds == KINDS
 
 
+@pytest.mark.usefixtures("own_rows")
+def test_a_cell_that_is_run_again_is_another_sensor_by_default():
+    arm, shown = giajax.chain(1), []
+    for value in (1.0, 2.0):
+        giajax.register(gauge("Cell", values=lambda self, motion, v=value: v + 0 * motion.rates))
+        values = {"joint01_command": [0.0, 0.1], "gauge01": [0.0, 0.0]}
+        run = giajax.Run.from_arrays([0.0, 0.1], values, definition={"arm": {"links": 1}})
+        shown += giajax.predict(giajax.ArmModel(arm), run)["gauge01"].tolist()
+    assert shown == [1.0, 1.0, 2.0, 2.0]
+
+
 @pytest.mark.quick
+@pytest.mark.usefixtures("own_rows")
 def test_a_sensor_that_no_result_could_name_is_refused():
+    with pytest.raises(InputError, match="the sensor 'left' is a Gauge, by which"):
+        Sensors(sensor={"left": gauge()()})
+    powers = {"power": 1, "__annotations__": {"power": int}}
+    power = giajax.register(gauge("Power", ("power", "powerNN", "ratio", "output"), **powers))
+    for value in (1, 2):
+        sensors = Sensors(sensor={"Power": power(power=value)})
+        model = giajax.ArmModel(giajax.chain(2), sensors=sensors)
+        if value == 1:
+            assert model.definition()["sensors"]["own"] == {"Power": {}}
+    with pytest.raises(InputError, match="sensor Power has power = 2, which no file can state"):
+        model.definition()
     model = giajax.ArmModel(giajax.chain(2), sensors=Sensors(sensor={"Gauge": gauge()()}))
     with pytest.raises(InputError, match="there is no registered sensor Gauge, and a result could"):
         model.definition()

@@ -8,6 +8,7 @@ import pytest
 import giajax
 import small_loops
 from giajax import InputError
+from giajax.schema import KINDS, ChannelKind, add_kind
 from giajax.tasks import Plan
 
 pytestmark = pytest.mark.quick
@@ -189,6 +190,26 @@ def test_fits_by_an_edited_loss_that_a_module_registers_are_others(folder, monke
         for loss, known in keys.items():
             known.add(plan(folder, f'[grid]\nloss = ["{loss}"]').tasks()[0].key)
     assert {loss: len(known) for loss, known in keys.items()} == {"huber": 1, "PlannedLoss": 2}
+
+
+def test_fits_of_a_model_that_only_columns_name_are_others_where_its_module_is(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "kite.csv").write_text("time_s,cord_m\n0,1\n1,2\n")
+    (tmp_path / "plan.toml").write_text('data = ["kite.csv"]\n')
+    kinds, keys = dict(KINDS), set()
+    rows = (ChannelKind("cord", "cord", "length", "output"),)
+    methods = dict.fromkeys(("prepare", "predict", "definition"), lambda self: None)
+    body = {"__module__": "kites", "kind": "planned", "channels": rows, **methods}
+    giajax.register(type("Kite", (giajax.AbstractModel,), body))
+    for digest in ("one", "two"):
+        there = {"kites": ("kites.py", f"sha256 {digest}")}
+        monkeypatch.setattr("giajax.runtime.plugins.source", there.get)
+        keys.add(Plan.load(tmp_path / "plan.toml").tasks()[0].key)
+    KINDS.clear()
+    KINDS.update(kinds)
+    add_kind(KINDS["arm"])
+    assert len(keys) == 2
 
 
 def test_fits_are_known_by_their_content(folder):

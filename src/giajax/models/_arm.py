@@ -55,6 +55,7 @@ from ._arm_sensors import (
     behind_conditions,
     cameras_of,
     check_sensor,
+    own_sensors,
     recorded_channels,
     seen_by_cameras,
     unseen,
@@ -130,6 +131,8 @@ class ArmInputs(eqx.Module):
     torque: Signal | None
     initial: InitialState
     pressure: Pressures | None = None
+    # What a column is of that the model has no sensor for is looked up while a program is traced.
+    own_sensors: tuple[type, ...] = eqx.field(static=True, default_factory=own_sensors)
 
 
 def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:

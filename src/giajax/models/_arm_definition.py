@@ -43,7 +43,7 @@ from ..schema import (
     sections_of_cameras,
 )
 from ..schema.parameters import DECLARED, declared, default_free, replace
-from ._arm_sensors import Camera, Landmark, Sensors, sensor_class
+from ._arm_sensors import Camera, Landmark, Sensors, sensor_named
 from ._cameras import Pinhole
 from ._protocol import parameter_values
 
@@ -94,7 +94,7 @@ def sensors_from_definition(definition: Definition) -> Sensors:
     sensors = Sensors(
         camera=Camera(pinholes={name: _pinhole(name, of) for name, of in cameras.named().items()}),
         landmark={name: Landmark() for name in marks.named()},
-        sensor={name: sensor_class(name)() for name in sorted(section.own or {})},
+        sensor={name: sensor_named(name) for name in sorted(section.own or {})},
     )
     stated = section.values() | cameras.values() | marks.values()
     return replace(sensors, stated)
@@ -129,8 +129,9 @@ def sensors_to_definition(sensors: Sensors) -> dict[str, dict[str, Any]]:
         if registered(each.registered_as, name) is not type(each):
             raise InputError(
                 f"there is no registered sensor {name}, and a result could not name it: call "
-                "giajax.register of its class, and call it as that"
+                "giajax.register of its class"
             )
+        _check_fields(each, f"sensor {name}")
     if sensors.sensor:
         errors["own"] = {name: _constants(of) for name, of in sensors.sensor.items()}
     sections = {**({"sensors": errors} if errors else {}), **sections_of_cameras(values)}
@@ -281,14 +282,19 @@ def _law_name(law: AbstractDragLaw | AbstractJointLaw) -> str:
             f"the {role} law {name} is not registered, and a result could not name it: call "
             "giajax.register of its class"
         )
-    for field in dataclasses.fields(law):
-        value = getattr(law, field.name)
+    _check_fields(law, f"{role} law {name}")
+    return name
+
+
+def _check_fields(part: Any, what: str) -> None:
+    """Refuse what is not as its class makes it, parameters apart."""
+    for field in dataclasses.fields(part):
+        value = getattr(part, field.name)
         if DECLARED not in field.metadata and value != field.default:
             raise InputError(
-                f"the {role} law {name} has {field.name} = {value!r}, which no file can state: "
-                "give it as the default of another class"
+                f"the {what} has {field.name} = {value!r}, which no file can state: give it as "
+                "the default of another class"
             )
-    return name
 
 
 def _plain(values: Any) -> Any:

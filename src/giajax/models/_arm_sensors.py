@@ -22,7 +22,7 @@ from ..runtime.arrays import (
     rotation_vector_to_quaternion,
     scaled,
 )
-from ..runtime.plugins import name_of, registered
+from ..runtime.plugins import made_by_default, name_of, registered
 from ..runtime.programs import program
 from ..runtime.text import InputError, one_of
 from ..schema import CAMERA, ENCODER, KINDS, LANDMARK, MARKER, ChannelKind, add_kind
@@ -182,15 +182,22 @@ class AbstractSensor(eqx.Module):
         """
 
 
-def sensor_class(name: str) -> type[AbstractSensor]:
-    """The class of sensors of a name.
+def sensor_named(name: str) -> AbstractSensor:
+    """The sensor of a name as its class makes it.
 
     Raises:
-        InputError: none is registered.
+        InputError: none is registered, or it has no default.
     """
     if (found := registered(AbstractSensor.registered_as, name)) is None:
         raise InputError(f"there is no sensor '{name}' here: register its class")
-    return found
+    made: AbstractSensor = made_by_default(found, f"the sensor {name}")
+    return made
+
+
+def own_sensors() -> tuple[type[AbstractSensor], ...]:
+    """The registered classes that are not giajax's, on which a program depends by default."""
+    found = (registered(AbstractSensor.registered_as, name) for name in sorted(_SENSORS.values()))
+    return tuple(each for each in found if each and not each.__module__.startswith("giajax."))
 
 
 def check_sensor(sensor: AbstractSensor, arm: Arm) -> None:
@@ -252,6 +259,14 @@ class Sensors(eqx.Module):
     landmark: dict[str, Landmark] = eqx.field(default_factory=dict)
     sensor: dict[str, AbstractSensor] = eqx.field(default_factory=dict)
 
+    def __check_init__(self) -> None:
+        for name, each in self.sensor.items():
+            if isinstance(each, AbstractSensor) and name != name_of(type(each)):
+                raise InputError(
+                    f"the sensor '{name}' is a {name_of(type(each))}, by which its columns find "
+                    "it: call it as its class"
+                )
+
     def of_row(self, kind: str) -> AbstractSensor | None:
         """The sensor that shows a row of the column table, by default as its class makes it.
 
@@ -259,7 +274,7 @@ class Sensors(eqx.Module):
         """
         if (name := _SENSORS.get(kind)) is None:
             return None
-        return self.sensor[name] if name in self.sensor else sensor_class(name)()
+        return self.sensor[name] if name in self.sensor else sensor_named(name)
 
     def without_clocks(self) -> "Sensors":
         """The same camera, markers and angle sensors, none of which is late."""
@@ -272,7 +287,7 @@ class Sensors(eqx.Module):
     def with_rows(self, kinds: Iterable[str]) -> "Sensors":
         """With the sensors of these rows of the column table, as far as rows are of some."""
         asked = [_SENSORS[kind] for kind in kinds if kind in _SENSORS]
-        new = {name: sensor_class(name)() for name in asked if name not in self.sensor}
+        new = {name: sensor_named(name) for name in asked if name not in self.sensor}
         # In its order, as JAX has it.
         return dataclasses.replace(self, sensor=dict(sorted((self.sensor | new).items())))
 

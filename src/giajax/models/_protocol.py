@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any, ClassVar, Self
@@ -11,7 +12,7 @@ import numpy as np
 
 from ..recordings import Definition, Run, upgraded
 from ..runtime.arrays import Array, Bool, Float
-from ..runtime.plugins import optional, registered
+from ..runtime.plugins import made_by_default, optional, registered
 from ..runtime.text import InputError, one_of
 from ..schema import KINDS, ChannelKind, Kind, Section, add_kind
 from ..schema.parameters import declared, replace
@@ -150,22 +151,31 @@ class AbstractModel(eqx.Module):
         """Add the kind of a class that says which channels it has.
 
         Raises:
-            InputError: a channel contradicts that of another kind, or files have a section of its
-                name.
+            InputError: it has no constant kind, or one that names no section of its own in files;
+                or a channel is no row, or contradicts that of another kind.
         """
-        if not cls.channels:
+        name: Any = cls.kind
+        rows: Any = cls.channels
+        if not isinstance(name, str):
+            raise InputError(f"{cls.__name__}.kind is {name!r}: make it a text, as kind = 'kite'")
+        if not rows:
             return
-        name = str(cls.kind)
         if name in Definition.model_fields and name not in KINDS:
             raise InputError(f"there is a section [{name}] already: give the model another kind")
+        if hasattr(Definition, name) or not re.fullmatch("[A-Za-z][A-Za-z0-9_-]*", name):
+            raise InputError(f"no section can be called {name!r}: give the model another kind")
+        if not isinstance(rows, tuple | list) or {*map(type, rows)} != {ChannelKind}:
+            raise InputError(
+                f"{cls.__name__}.channels is {rows!r}: make it a tuple of giajax.schema.ChannelKind"
+            )
         others = {row.name for kind in KINDS.values() if kind.name != name for row in kind.channels}
-        own = {row.name for row in cls.channels} - others
-        measured = [row.column for row in cls.channels if row.part == "output"]
+        own = {row.name for row in rows} - others
+        measured = [row.column for row in rows if row.part == "output"]
         add_kind(
             Kind(
                 name=name,
                 model="",
-                channels=cls.channels,
+                channels=tuple(rows),
                 recognises=lambda rows: not own.isdisjoint(rows),
                 measured=" or ".join(measured),
                 sections={} if cls.section is None else {name: cls.section},
@@ -182,7 +192,7 @@ class AbstractModel(eqx.Module):
     @optional
     def for_runs(cls, runs: Sequence[Run]) -> Self:
         """The model of some runs, with the constants that their sidecars state, if it has any."""
-        return cls()
+        return made_by_default(cls, f"the model {cls.__name__}")
 
     @abc.abstractmethod
     def definition(self) -> dict[str, Any]:
@@ -194,7 +204,7 @@ class AbstractModel(eqx.Module):
         """The model that `definition()` described, with any values of its parameters."""
         if definition:
             raise InputError(f"{cls.__name__} has a definition, but no from_definition: write it")
-        return cls()
+        return made_by_default(cls, f"the model {cls.__name__}")
 
     @abc.abstractmethod
     def prepare(self, run: Run) -> Any:

@@ -76,14 +76,23 @@ class SeveralModels(AbstractModel):
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The models that `definition()` described."""
-        return cls(tuple(model_class(k).from_definition(definition) for k in definition["models"]))
+        own = definition.get("definitions", {})
+        ours = AbstractModel.names_of_giajax  # which take what is theirs
+        given = {k: definition if k in ours else own.get(k, {}) for k in definition["models"]}
+        return cls(tuple(model_class(kind).from_definition(its) for kind, its in given.items()))
 
     def definition(self) -> dict[str, Any]:
-        """What each of them is made from; no two kinds have a section in common."""
-        whole: dict[str, Any] = {"models": [part.kind for part in self.parts]}
-        for part in self.parts:
-            whole |= part.definition()
-        return whole
+        """What each of them is made from; no two kinds have a section in common.
+
+        That of a kind of one's own, which may have keys of any name, is there by itself, too.
+        """
+        each = {part.kind: part.definition() for part in self.parts}
+        whole: dict[str, Any] = {"models": list(each)}
+        for its in each.values():
+            whole |= its
+        ours = AbstractModel.names_of_giajax
+        own = {kind: its for kind, its in each.items() if its and kind not in ours}
+        return {**whole, "definitions": own} if own else whole
 
     def part(self, kind: str) -> AbstractModel:
         """The model of the runs of a kind.

@@ -239,8 +239,11 @@ _QUOTED = [f'"{name}"' for name in KINDS]
 
 
 def _known_model(word: str) -> str:
-    if word not in KINDS:
-        registered("model", word)  # the model of a package is imported, and becomes a kind
+    # The model of a package is imported, and becomes a kind.
+    if word not in KINDS and registered("model", word) is not None and word not in KINDS:
+        raise ValueError(
+            f"= {word!r} is a model that declares no channels: state them in its class"
+        )
     if word not in KINDS:
         raise ValueError(
             f"= {word!r} must be {one_of(_QUOTED)}, or a registered model: correct it, give "

@@ -18,6 +18,7 @@ from ..runtime.plugins import registered
 from ..runtime.solvers import as_text, from_text
 from ..runtime.text import InputError, shown
 from ..schema import (
+    NOISE_KEYS,
     QUANTITY_OF_SUFFIX,
     Expression,
     Finite,
@@ -48,7 +49,6 @@ def seconds_of(duration: str) -> float:
 
 _NOISE = "a positive number, the standard deviation"
 _TIME = "a positive number of seconds"
-_WHOLE = ("position_m", "angle_deg", "rate_deg_per_s", "pixel_px", "acceleration_m_per_s2")
 
 
 class Noise(Section):
@@ -100,7 +100,7 @@ class Noise(Section):
 
     @model_validator(mode="after")
     def _a_correlated_part_is_whole(self) -> "Noise":
-        for name in _WHOLE:
+        for name in NOISE_KEYS:
             quantity, _, unit = name.partition("_")
             part, time = f"{quantity}_correlated_{unit}", f"{quantity}_correlation_s"
             size, of_part = getattr(self, name), getattr(self, part)
@@ -122,7 +122,7 @@ class Noise(Section):
                 channel = parse_column(name).name
             except InputError:
                 raise ValueError(
-                    f"key {name!r} must be {', '.join(_WHOLE)}, a part of one such as "
+                    f"key {name!r} must be {', '.join(NOISE_KEYS)}, a part of one such as "
                     "position_correlated_m with position_correlation_s, or a column of the run: "
                     "correct or remove it"
                 ) from None

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..runtime.limits import DURATION_S, GAP_S, STEP_S, TIME_S, VALUE
+from ..runtime.plugins import registered
 from ..runtime.text import InputError
 from ..schema import KINDS, Kind
 from ._channels import (
@@ -347,6 +348,8 @@ class Run:
     @property
     def kind(self) -> Kind:
         """What its kind of model declares."""
+        if self.model not in KINDS:
+            registered("model", self.model)  # of a package, in a process of workers
         return KINDS[self.model]
 
     @property

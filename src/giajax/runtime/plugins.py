@@ -12,7 +12,7 @@ import importlib.util
 import re
 import sys
 import sysconfig
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import metadata
 from importlib.metadata import version
 from pathlib import Path
@@ -23,6 +23,7 @@ from .text import InputError, one_of
 
 Registered = TypeVar("Registered", bound=type)
 F = TypeVar("F")
+Made = TypeVar("Made")
 
 _CLASSES: dict[str, dict[str, Any]] = {}
 _PLUGINS: dict[Path, str] = {}  # with the SHA-256 of what was run
@@ -81,13 +82,17 @@ def registered(role: str, name: str) -> Any | None:
 
 def law_named(role: str, name: str) -> Any | None:
     """What the registered class of a role and a name is by default; None where there is none."""
-    if (found := registered(role, name)) is None:
-        return None
+    found = registered(role, name)
+    return None if found is None else made_by_default(found, f"the {role} law {name}")
+
+
+def made_by_default(cls: Callable[[], Made], what: str) -> Made:
+    """What a class makes from its defaults; `InputError` where it makes nothing from them."""
     try:
-        return found()
+        return cls()
     except Exception as error:
         raise InputError(
-            f"the {role} law {name} is not made from its defaults ({error}): give each field one"
+            f"{what} is not made from its defaults ({error}): give each field one"
         ) from None
 
 

@@ -74,6 +74,7 @@ from ._joint import (
 )
 from ._kind import (
     KINDS as KINDS,
+    NOISE_KEYS as NOISE_KEYS,
     ChannelKind as ChannelKind,
     Kind as Kind,
     Naming as Naming,

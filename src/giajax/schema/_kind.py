@@ -4,7 +4,7 @@ import functools
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Protocol, TypeVar, cast
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -69,6 +69,11 @@ class Naming(Protocol):
         """The name of the channel in the person's file or arrays."""
 
 
+NOISE_KEYS = ("position_m", "angle_deg", "rate_deg_per_s", "pixel_px", "acceleration_m_per_s2")
+"""Keys of `[noise]` that hold for all columns of some rows."""
+
+Part = Literal["input", "surroundings", "output"]
+
 CAMERA_NAME = "[A-Za-z][A-Za-z0-9_]*"
 """Regular expression of the name of a camera."""
 
@@ -92,7 +97,7 @@ class ChannelKind:
     name: str
     column: str
     quantity: str | None
-    part: Literal["input", "surroundings", "output"]
+    part: Part
     texts: tuple[str, ...] = ()
     noise: str | None = None
 
@@ -232,15 +237,27 @@ def add_kind(kind: Kind) -> None:
 
 
 def _check_row(row: ChannelKind, others: Iterable[ChannelKind]) -> None:
-    """Refuse a row that is of no quantity, or of which others say something else.
+    """Refuse a row that no column could be of, or of which others say something else.
 
     Raises:
         InputError: naming the row.
     """
+    what = f"the channel {row.column}"
     if row.quantity not in {None, *QUANTITIES}:
-        raise InputError(
-            f"the channel {row.column} is of no quantity {row.quantity!r}: use {one_of(QUANTITIES)}"
-        )
+        raise InputError(f"{what} is of no quantity {row.quantity!r}: use {one_of(QUANTITIES)}")
+    if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", row.column) or row.column.count("NN") > 1:
+        raise InputError(f"{what} is no name: use letters, digits and _, and NN once at most")
+    if "time" in (row.name, row.column):
+        raise InputError(f"{what} of the row '{row.name}' is not time, which all have: rename it")
+    if row.part not in (parts := get_args(Part)):
+        raise InputError(f"{what} has no part {row.part!r} in a model: use {one_of(parts)}")
+    if row.quantity == "text" and not row.texts:
+        raise InputError(f"{what} is a text of no values: state them as texts")
+    units = QUANTITIES[row.quantity].suffixes if row.quantity else ()
+    keys = [each for each in NOISE_KEYS if not units or each.partition("_")[2] in units]
+    if row.noise not in (None, *keys):
+        either = f"use {one_of(keys)}, or leave it out" if keys else "leave it out"
+        raise InputError(f"{what} has no noise of the key {row.noise!r}: {either}")
     ours = row.name, row.column, row.quantity, row.texts
     for other in others:
         theirs = other.name, other.column, other.quantity, other.texts

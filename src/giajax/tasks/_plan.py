@@ -10,13 +10,20 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..recordings import Definition, FitSettings, fit_settings, sidecar_path
+from ..recordings import (
+    Definition,
+    FitSettings,
+    fit_settings,
+    read_sidecar,
+    read_table,
+    sidecar_path,
+)
 from ..runtime.files import check_size, parse_toml, read_bytes, read_text
 from ..runtime.limits import RUN_BYTES, TEXT_BYTES
 from ..runtime.plugins import plugins, sources_named
 from ..runtime.tasks import Task
 from ..runtime.text import InputError, one_of, shown
-from ..schema import flat
+from ..schema import KINDS, flat
 from ._fit_task import FitTask
 from ._journal import checksums_of
 
@@ -333,13 +340,24 @@ class Plan:
     def tasks(self) -> list[Task]:
         """The fits as tasks, one for each case: two with the same key are the same fit."""
         checksums = functools.cache(lambda path: tuple(checksums_of([path]).values()))
-        sidecar = functools.cache(_sidecar_text)
+        sidecar = functools.cache(_said)
         return [_task(self.fit(case), checksums, sidecar) for case in self.cases]
 
 
-def _sidecar_text(path: Path) -> str:
+def _said(path: Path, rename: tuple[tuple[str, str], ...]) -> str:
+    """The sidecar of a run, and the kind of one's own that its columns may be of."""
     sidecar = sidecar_path(path)
-    return read_bytes(sidecar, RUN_BYTES).decode(errors="replace") if sidecar.exists() else ""
+    text = read_bytes(sidecar, RUN_BYTES).decode(errors="replace") if sidecar.exists() else ""
+    try:
+        stated = read_sidecar(path).model  # which registers the model of a package
+        own = [kind for kind in KINDS.values() if not kind.model]
+        if own and stated is None:
+            table = read_table(path, dict(rename))
+            rows = frozenset(channel.kind for channel in table.channels.values())
+            text = " ".join([text, *(kind.name for kind in own if kind.recognises(rows))])
+    except InputError:
+        pass  # The fit says what is wrong.
+    return text
 
 
 def _task(fit: FitTask, checksums: Any, sidecar: Any) -> Task:
@@ -353,7 +371,8 @@ def _task(fit: FitTask, checksums: Any, sidecar: Any) -> Task:
     for name in ("truth", "figures", "origin"):
         definition.pop(name, None)
     files = {"data": fit.data, "validation": fit.validation}
-    said = f"{definition} {settings} " + " ".join(map(sidecar, (*fit.data, *fit.validation)))
+    runs = (sidecar(path, tuple(fit.rename.items())) for path in (*fit.data, *fit.validation))
+    said = f"{definition} {settings} {' '.join(runs)}"
     added = {**sources_named(said), **{path.name: digest for path, digest in plugins().items()}}
     return Task(
         "giajax.tasks._sweep:fitted",
