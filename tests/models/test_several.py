@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 
 from giajax import Definition, FitTask, InputError, Run, fit, predict, replace
 from giajax.fitting import set_up
-from giajax.models import SeveralModels, capabilities, model_for
+from giajax.mechanics.arm import chain
+from giajax.models import ArmModel, SeveralModels, capabilities, model_for
 from giajax.recordings import read_runs, write_run
 from giajax.report import summary
 from giajax.runtime.arrays import Scalar
@@ -84,6 +85,24 @@ def design():
     wave = np.stack([np.exp(-TIMES), ones(TIMES), zeros(TIMES)], axis=1)
     line = np.stack([INPUTS, zeros(INPUTS), ones(INPUTS)], axis=1)
     return wave / SIGMA, line / SIGMA
+
+
+class Own(Metres):
+    """A kind of one's own, whose definition has keys of any name."""
+
+    kind: ClassVar[str] = "own"
+
+    def definition(self):
+        return {"arm": "its own", "models": 3}
+
+
+@pytest.mark.quick
+def test_keys_of_an_own_kind_stand_by_themselves():
+    arm = ArmModel(chain(1))
+    stated = SeveralModels((arm, Own())).definition()
+    assert stated["arm"] == arm.definition()["arm"]
+    assert stated["models"] == ["arm", "own"]
+    assert stated["definitions"] == {"own": Own().definition()}
 
 
 @pytest.fixture(scope="module")

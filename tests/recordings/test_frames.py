@@ -91,6 +91,19 @@ def test_a_duration_keeps_its_beginning():
         Run.from_frame({"time": spans, "tip_z_m": TIMES}, units={"time": "ms"})
 
 
+def test_a_column_of_times_goes_before_an_index():
+    pandas = pytest.importorskip("pandas")
+    index = pandas.date_range("2026-11-25", periods=4, freq="min")
+    check(Run.from_frame(pandas_frame().set_index(index), noise={"position": 0.005}))
+
+
+def test_a_column_that_is_there_twice_is_refused():
+    frame = pandas_frame()
+    frame.columns = ["time_s", "tip_z_mm", "tip_z_mm"]
+    with pytest.raises(InputError, match="must have one dimension"):
+        Run.from_frame(frame)
+
+
 def test_a_frame_of_a_run_is_its_file(tmp_path):
     run = Run.from_frame(COLUMNS)
     frame = run.to_frame()

@@ -58,7 +58,7 @@ def test_one_panel_a_channel_in_the_units_of_the_file(result, run):
 def test_a_fit_is_drawn_from_its_result_and_its_run(result, run):
     (_, _, panel) = panels(plot(result, run))
     np.testing.assert_allclose(panel.lines[1].get_ydata(), result.predictions[0]["link04_z"])
-    with pytest.raises(InputError, match="it was not fitted: give one of"):
+    with pytest.raises(InputError, match="it was not fitted as it is now"):
         plot(result, dataclasses.replace(run, name="another"))
     twice = dataclasses.replace(result, runs=result.runs * 2)
     with pytest.raises(InputError, match="several of that name"):

@@ -1,5 +1,7 @@
 """Plug-ins: files that register what is not in the package."""
 
+import os
+import subprocess
 import sys
 from typing import NamedTuple
 
@@ -66,6 +68,17 @@ def test_an_edited_plug_in_is_another_program_and_another_task(tmp_path):
     assert texts[0] == texts[1]
     assert texts[0][0] != texts[2][0]
     assert texts[0][1] != texts[2][1]
+
+
+def test_a_plug_in_of_a_command_computes_as_the_command_does(tmp_path):
+    path = tmp_path / "precise_law.py"
+    path.write_text(
+        "import os, jax.numpy\nprint(os.environ['EQX_ON_ERROR'], jax.numpy.ones(1).dtype)"
+    )
+    words = [sys.executable, "-m", "giajax", "parameters", "--plugin", str(path)]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("EQX", "JAX_ENABLE"))}
+    shown = subprocess.run(words, capture_output=True, text=True, check=True, env=environment)
+    assert shown.stdout.startswith("nan float64")
 
 
 def test_results_and_workers_are_of_the_plug_in_that_was_used(tmp_path):

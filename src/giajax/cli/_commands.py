@@ -20,7 +20,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from ..runtime.files import check_path
 from ..runtime.plugins import load_plugin
-from ..runtime.process import CORES_VARIABLE, is_stopped, stopped_status
+from ..runtime.process import CORES_VARIABLE, configure, is_stopped, stopped_status
 from ..runtime.text import InputError, abridged, shown, time_in_words
 from ._values import number
 
@@ -86,6 +86,8 @@ def with_options(function: Function, settings_after: str = "") -> Function:
 
     @functools.wraps(function)
     def whole(plugin: Paths = None, **given: Any) -> None:
+        if plugin:
+            configure()  # before it imports Equinox, or makes an array
         for path in plugin or ():
             load_plugin(path)
         function(**given)

@@ -135,7 +135,7 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
                 "link06_z, tip, joint03_angle, joint03_rate, joints or all, or of a camera side.tip"
             )
         if channel.kind != "mark_pixel" and (channel.index or 1) > count:
-            part = "link" if channel.kind.startswith("link") else "joint"
+            part = "joint" if channel.kind.startswith("joint") else "link"
             raise InputError(
                 f"--channels {name!r} is of {part} {channel.index}, but the arm has {count} links: "
                 "correct the number, or simulate a longer arm"

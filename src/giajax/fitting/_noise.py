@@ -156,7 +156,8 @@ def _among_outliers(
             at: outlier_weights(each, sizes[each.key], loss.weights) for at, each in cells.items()
         }
         # An outlier is no noise: it has no part in its size, only little in the fit.
-        inliers = [each.where(weights[at] > loss.outlier_weight) for at, each in cells.items()]
+        least = loss.outlier_weight
+        inliers = [each.where(weights[at] > least) for at, each in cells.items()]
         before = Restricted.of(inliers, sizes)
         after = estimate(before, stated, correlated=True)
         if not all(each.is_white for each in after.noise.values()):

@@ -207,7 +207,8 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
         for at, each in residual_cells(state, together=True).items()
     ]
     # Outliers have no part in what is known of the noise.
-    inliers = [each.where(each.weights > state.setup.loss.outlier_weight) for each in dense]
+    least = state.setup.loss.outlier_weight
+    inliers = [each.where(each.weights > least) for each in dense]
     prior, off = prior_rows(state, alive)
     known = np.column_stack([prior, off])
     problem = Restricted.of(inliers, by_key, known.T @ known)

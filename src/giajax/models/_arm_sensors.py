@@ -154,10 +154,10 @@ class AbstractSensor(eqx.Module):
             InputError: it has no row, or one that another has.
         """
         row, arm, name = getattr(cls, "channel", None), KINDS["arm"], name_of(cls)
-        if not isinstance(row, ChannelKind) or row.part != "output":
+        if not isinstance(row, ChannelKind) or row.part != "output" or row.quantity == "pixel":
             raise InputError(
                 f"{name}.channel is {row!r}: make it the row of its columns, a "
-                'giajax.schema.ChannelKind whose part is "output"'
+                'giajax.schema.ChannelKind whose part is "output", of no pixels'
             )
         others = tuple(each for each in arm.channels if each.name != row.name)
         owner = _SENSORS.get(row.name, "giajax")
@@ -531,7 +531,7 @@ def recorded_channels(
     if "tip_position" in kinds:
         points = jax.vmap(lambda row: sensors.marker.at_tip(arm, row))(seen[_FRAME].angles)
         tables["tip_position"] = sensors.camera.sees(points)[:, None]
-    for kind in kinds:
+    for kind in sorted(kinds):
         if (sensor := sensors.of_row(kind)) is not None:
             rows = sensor.values(seen[kind])
             tables[kind] = rows if "NN" in sensor.channel.column else rows[:, None]
@@ -569,7 +569,7 @@ def _seen(
     if kinds & _ANGLES:
         clocks[_ENCODER] = sensors.encoder.delay
     clocks |= {name: clock_of(sensors, name) for name in cameras}
-    for kind in kinds & _SENSORS.keys():
+    for kind in sorted(kinds & _SENSORS.keys()):
         clocks[kind] = getattr(sensors.of_row(kind), "delay", None)
     # Sensors that share a clock see the same.
     delays = list({id(delay): delay for delay in clocks.values()}.values())

@@ -77,20 +77,21 @@ class SeveralModels(AbstractModel):
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The models that `definition()` described."""
         own = definition.get("definitions", {})
+        rest = {} if "definitions" in definition else definition  # of an earlier version
         ours = AbstractModel.names_of_giajax  # which take what is theirs
-        given = {k: definition if k in ours else own.get(k, {}) for k in definition["models"]}
+        given = {k: definition if k in ours else own.get(k, rest) for k in definition["models"]}
         return cls(tuple(model_class(kind).from_definition(its) for kind, its in given.items()))
 
     def definition(self) -> dict[str, Any]:
-        """What each of them is made from; no two kinds have a section in common.
+        """What each of them is made from; no two kinds of giajax have a section in common.
 
-        That of a kind of one's own, which may have keys of any name, is there by itself, too.
+        That of a kind of one's own, which may have keys of any name, is there by itself.
         """
         each = {part.kind: part.definition() for part in self.parts}
         whole: dict[str, Any] = {"models": list(each)}
-        for its in each.values():
-            whole |= its
         ours = AbstractModel.names_of_giajax
+        for kind in each.keys() & set(ours):
+            whole |= each[kind]
         own = {kind: its for kind, its in each.items() if its and kind not in ours}
         return {**whole, "definitions": own} if own else whole
 

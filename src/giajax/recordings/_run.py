@@ -278,7 +278,10 @@ class Run:
         given, stated = _columns(frame)
         stated = {**stated, **(units or {})}
         if absent := [column for column in stated if column not in given]:
-            raise InputError(f"{name}: units has {absent[0]!r}, which is no column: correct it")
+            raise InputError(
+                f"{name}: units has {absent[0]!r}, which is no column, or one of stamps, which "
+                "need none: remove it"
+            )
         columns = {
             f"{column}_{stated[column]}" if column in stated else column: array
             for column, array in given.items()
@@ -455,8 +458,8 @@ def _columns(frame: Any) -> tuple[dict[str, Any], dict[str, str]]:
         columns = {str(name): _values(frame[name]) for name in frame.columns}
         index = getattr(frame, "index", None)
         if index is not None:
-            array = _values(index)
-            if index.name is None and array.dtype.kind in "mM":
+            array, has_time = _values(index), {"time", "time_s"} & columns.keys()
+            if index.name is None and array.dtype.kind in "mM" and not has_time:
                 columns["time"] = array
             elif index.name is not None and match_name(str(index.name)) is not None:
                 columns = {str(index.name): array, **columns}
@@ -478,7 +481,7 @@ def _columns(frame: Any) -> tuple[dict[str, Any], dict[str, str]]:
 
 def _values(column: Any) -> npt.NDArray[Any]:
     """The values of a column of pandas or Polars; stamps with a time zone are those of UTC."""
-    if getattr(column.dtype, "tz", None) is not None:
+    if getattr(getattr(column, "dtype", None), "tz", None) is not None:
         column = getattr(column, "dt", column).tz_convert(None)
     array: npt.NDArray[Any] = column.to_numpy()
     return array

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from ..fitting import FitResult, HeldOut, RunFit
 from ..noise import by_second_differences
 from ..recordings import Channel, Run, observing, unique_names
-from ..runtime.text import InputError, one_of
+from ..runtime.text import InputError
 from ._style import (
     BLUE,
     GREEN,
@@ -136,9 +136,12 @@ def plot(result: FitResult, run: Run) -> Figure:
     known = (run.name, run.sha256)
     records = [each for each in result.runs if (each.name, each.sha256) == known]
     if len(records) != 1:
-        why = "several of that name were" if records else "it was not"
-        names = one_of(dict.fromkeys(each.name for each in result.runs))
-        raise InputError(f"the run {run.name} has no record, as {why} fitted: give one of {names}")
+        why = "several of that name were fitted" if records else "it was not fitted as it is now"
+        names = ", ".join(dict.fromkeys(each.name for each in result.runs))
+        raise InputError(
+            f"the run {run.name} has no record of its own, as {why}: give one of those that were "
+            f"({names})"
+        )
     return recorded_figure(result, run, result.predict(run), records[0])
 
 

@@ -6,6 +6,7 @@ import importlib
 from typing import Any
 
 from .plugins import registered
+from .process import configure, is_own_process
 from .text import InputError, shown
 
 _PACKAGES = ("diffrax", "optimistix")
@@ -56,6 +57,8 @@ def _made(node: ast.expr) -> Any:
     if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
         return ast.literal_eval(node)
     name = node.func.id
+    if is_own_process():
+        configure()
     modules = map(importlib.import_module, _PACKAGES)
     found = [each for module in modules if dataclasses.is_dataclass(each := vars(module).get(name))]
     cls: Any = found[0] if found else registered("solver", name)

@@ -202,7 +202,7 @@ class FitTask:
                 it was fitted to has changed.
         """
         folder, stored = repeatable(path)
-        check_sources(stored["versions"], str(stored["config"]))
+        check_sources(stored["versions"], f"{stored['model']} {stored['config']}")
         config, fields = stored["config"], unchanged(stored["task"], folder)
         out = folder.with_name(f"{folder.resolve().name}-again")
         return cls(**fields, resolved=config, earlier=folder).on_top(

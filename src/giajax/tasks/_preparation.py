@@ -102,7 +102,8 @@ class Preparation:
                     raise InputError(
                         f"{folder} has no journal of a fit: fit without resuming to begin one"
                     )
-                check_sources(journal.head["versions"], str(journal.head["config"]))
+                said = f"{self.setup.model.kind} {journal.head['config']}"
+                check_sources(journal.head["versions"], said)
                 check_again(self.record, journal.head["task"], folder)
                 check_config(journal.head["config"], self.setup.config, journal.path)
             else:
