@@ -10,7 +10,16 @@ import pytest
 
 import giajax
 from giajax import InputError, Run
-from giajax.fitting import Bijector, Layout, Noise, Problem, build_batches, fit, residual
+from giajax.fitting import (
+    Bijector,
+    Layout,
+    Noise,
+    Problem,
+    build_batches,
+    fit,
+    loss_of,
+    residual,
+)
 from giajax.models import ArmModel, arm_to_definition, build_model, model_for, parameter_values
 
 TIMES = np.linspace(0.0, 6.0, 61)
@@ -157,7 +166,7 @@ def test_the_residual_differentiates_as_differences_say(run):
         build_batches(model, [run], noise, Layout.of(tuple(START), {}, 1)),
         bijector,
         tuple(START),
-        "soft_l1",
+        loss_of("soft_l1"),
     )
     coordinate = jnp.asarray(bijector.inverse(np.array(list(START.values()))))
 

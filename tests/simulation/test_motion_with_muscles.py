@@ -206,7 +206,9 @@ def test_derivatives_from_rest_are_slopes(solver, lag):
         step = 1e-3 * start[index]
         off = jnp.zeros_like(start).at[index].set(step)
         slope = (angles(start + off) - angles(start - off)) / (2 * step)
-        assert_allclose(found[..., index], slope, atol=2e-3 * np.max(np.abs(slope)), err_msg=path)
+        # With a lag, so much of it that one direction alone and all together differ by 0.4 %.
+        off = (2e-3 if lag is None else 1e-2) * np.max(np.abs(slope))
+        assert_allclose(found[..., index], slope, atol=off, err_msg=path)
 
 
 def test_what_muscles_cannot_do_is_refused():
