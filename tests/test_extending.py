@@ -229,7 +229,7 @@ def test_a_fit_of_several_kinds_one_of_which_is_ones_own_is_loaded():
     model = giajax.model_for([bench, *runs])
     stored = model.definition()
     assert stored["muscle"]
-    assert stored["size"] == 3
+    assert stored["definitions"] == {"balloon": {"size": 3}}
     loaded = giajax.models.build_model(model.kind, stored, {})
     assert [part.kind for part in loaded.parts] == ["muscle", "kite", "balloon"]
     needs = balloon(kind="needs", channels=row("needs", "length"), __annotations__={"size": float})
