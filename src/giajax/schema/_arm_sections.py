@@ -330,28 +330,27 @@ class _Surroundings(_Links):
     )
 
 
-def _known_drag(word: str) -> str:
-    if word not in ("centre", "strip") and registered("drag", word) is None:
-        raise ValueError(
-            f'= {word!r} must be "centre", "strip" or a registered law: correct it, or give '
-            "--plugin FILE.py"
-        )
-    return word
+def _known_law(role: str, *words: str) -> AfterValidator:
+    """A law as a file names it: by a word of giajax, or as a registered class of the role."""
 
+    def known(word: str) -> str:
+        if word not in words and registered(role, word) is None:
+            listed = ", ".join(f'"{each}"' for each in words)
+            raise ValueError(
+                f"= {word!r} must be {listed} or a registered law: correct it, or give "
+                "--plugin FILE.py"
+            )
+        return word
 
-def _known_joint_law(word: str) -> str:
-    if word not in ("hardening", "end_stops") and registered("joint", word) is None:
-        raise ValueError(
-            f'= {word!r} must be "hardening", "end_stops" or a registered law: correct it, or '
-            "give --plugin FILE.py"
-        )
-    return word
+    return AfterValidator(known)
 
 
 class ArmSection(_Surroundings):
     """`[arm]`: the known constants of the arm. A number holds for all links."""
 
-    drag: Annotated[Literal["centre", "strip"] | str, AfterValidator(_known_drag)] | None = key(
+    drag: (
+        Annotated[Literal["centre", "strip"] | str, _known_law("drag", "centre", "strip")] | None
+    ) = key(
         '"centre" or "strip"',
         "drag at each link's centre (eq. 1), or across the flow along the link",
         preset="centre",
@@ -370,7 +369,7 @@ class ArmSection(_Surroundings):
         "that add it to the mass matrix alone",
         preset="kirchhoff",
     )
-    joint_laws: list[Annotated[str, AfterValidator(_known_joint_law)]] | None = key(
+    joint_laws: list[Annotated[str, _known_law("joint", "hardening", "end_stops")]] | None = key(
         'a list of "hardening", "end_stops"',
         "laws of the joints beside springs, dampers and hysteresis",
         example=["hardening"],
