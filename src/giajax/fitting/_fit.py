@@ -23,12 +23,12 @@ from ._configuration import Setup, set_up
 from ._derived import derived_estimates, with_tied
 from ._estimates import estimates, findings, own_estimates
 from ._loop import Budget, advance_alone, descend
-from ._noise import verdict
 from ._problem import Problem, predictions_by_run
 from ._records import ChannelFit, Correlation, Iteration, NoiseFit, OwnEstimate, RunFit, Seconds
 from ._result import FitResult, integration_of
 from ._statistics import Statistics, statistics
 from ._steps import CHANGED, FitJournal, FitState, Reason, begin, journal_writer, restored
+from ._uncertainty import verdict
 
 _NOTABLE = 1.15  # residuals of this many times the noise are worth a word
 

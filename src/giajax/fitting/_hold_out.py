@@ -41,11 +41,11 @@ from ..recordings import FitSettings, Run, SplitRun, hold_out
 from ..runtime.arrays import Bool, Float
 from ..runtime.text import InputError
 from ._configuration import Setup, WarmStart, between, set_up
-from ._noise import TOLERANCE, prior_gram, residual_cells, series_of, shared_and_own
 from ._problem import predictions_by_run
 from ._records import HeldChannel, HeldOut, recorded_noise
 from ._result import FitResult, errors_of
 from ._steps import FitState, at_tolerance, begin, move, reweight, step
+from ._uncertainty import TOLERANCE, prior_gram, residual_cells, series_of, shared_and_own
 from ._weights import Noise
 
 Groups = dict[str, list[list[str]]]
@@ -114,14 +114,12 @@ class HoldOut:
 
 def set_up_with_hold_out(
     settings: FitSettings, runs: Sequence[Run], begin: WarmStart | None
-) -> tuple[Setup, HoldOut | None]:
-    """The setup of a fit, whose `config` says what is held out; and that, if it is anything.
+) -> tuple[Setup, HoldOut]:
+    """The setup of a fit that holds something out, whose `config` says what; and that.
 
     Raises:
         InputError: as `giajax.fit`, or a `hold_out` that names nothing, or everything.
     """
-    if not settings.hold_out:
-        return set_up(model_for(runs), runs, settings, begin=begin), None
     parts = hold_out(runs, settings.hold_out)
     fitted = [part.fitted for part in parts if part.fitted is not None]
     for model in dict.fromkeys(run.model for run in runs):

@@ -12,10 +12,9 @@ from ..runtime.arrays import on_device
 from ..runtime.text import InputError, time_in_words
 from ._checks import can_improve, with_finer_tolerance, with_suitable_tolerance
 from ._linearise import minimised
-from ._noise import reestimate
 from ._records import Iteration
 from ._steps import FitState, Reason, move, reweight, step, trial
-from ._uncertainty import responds
+from ._uncertainty import reestimate, responds
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,12 +21,18 @@ from ._fit import Refit, refitted
 from ._linearise import BlockJacobian
 from ._loop import with_active
 from ._losses import AbstractLoss
-from ._noise import reestimate, residual_cells
 from ._problem import Recorded, predictions_by_run, with_recorded
 from ._records import RunFit, recorded_noise
 from ._statistics import Statistics, statistics
 from ._steps import FitState, begin, evaluate, labels, move, reweight, step
-from ._uncertainty import dense_cells, prior_rows, responds, weighted_cells
+from ._uncertainty import (
+    dense_cells,
+    prior_rows,
+    reestimate,
+    residual_cells,
+    responds,
+    weighted_cells,
+)
 from ._weights import Noise
 
 MOST_STEPS = 50

@@ -1,6 +1,7 @@
 """What stands around an arm: boxes, planes and walls with an opening, and what is nearest."""
 
 import abc
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -277,15 +278,14 @@ class Part(eqx.Module):
     )
 
 
-def _numbers(*default: float) -> Any:
-    """Field of an array of numbers; where obstacles stand is no parameter that a fit finds."""
+def _converted(value: Any) -> Array:
+    if not isinstance(value, jax.Array):
+        value = on_device(value, jnp.result_type(float))
+    return jnp.asarray(value, jnp.result_type(float))
 
-    def convert(value: Any) -> Array:
-        if not isinstance(value, jax.Array):
-            value = on_device(value, jnp.result_type(float))
-        return jnp.asarray(value, jnp.result_type(float))
 
-    return eqx.field(converter=convert, default=default if len(default) > 1 else default[0])
+# Field of an array of numbers; where obstacles stand is no parameter that a fit finds.
+_numbers = functools.partial(eqx.field, converter=_converted)
 
 
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -319,9 +319,9 @@ class Box(AbstractObstacle):
         InputError: a size that is not positive.
     """
 
-    centre: Float[Array, "3"] = _numbers(*_ORIGIN)
-    size: Float[Array, "3"] = _numbers(1.0, 1.0, 1.0)
-    rotation: Float[Array, "3"] = _numbers(*_ORIGIN)
+    centre: Float[Array, "3"] = _numbers(default=_ORIGIN)
+    size: Float[Array, "3"] = _numbers(default=(1.0, 1.0, 1.0))
+    rotation: Float[Array, "3"] = _numbers(default=_ORIGIN)
     name: str = eqx.field(static=True, default="box")
 
     def __check_init__(self) -> None:
@@ -349,8 +349,8 @@ class Plane(AbstractObstacle):
         InputError: a normal without a direction.
     """
 
-    centre: Float[Array, "3"] = _numbers(*_ORIGIN)
-    normal: Float[Array, "3"] = _numbers(0.0, 0.0, 1.0)
+    centre: Float[Array, "3"] = _numbers(default=_ORIGIN)
+    normal: Float[Array, "3"] = _numbers(default=(0.0, 0.0, 1.0))
     name: str = eqx.field(static=True, default="ground")
 
     def __check_init__(self) -> None:
@@ -389,11 +389,11 @@ class WallWithOpening(AbstractObstacle):
         InputError: a size that is not positive.
     """
 
-    centre: Float[Array, "3"] = _numbers(*_ORIGIN)
-    opening: Float[Array, "2"] = _numbers(2.0, 2.0)
-    margins: Float[Array, "4"] = _numbers(1.0, 1.0, 1.0, 1.0)
-    thickness: Float[Array, ""] = _numbers(0.2)
-    rotation: Float[Array, "3"] = _numbers(*_ORIGIN)
+    centre: Float[Array, "3"] = _numbers(default=_ORIGIN)
+    opening: Float[Array, "2"] = _numbers(default=(2.0, 2.0))
+    margins: Float[Array, "4"] = _numbers(default=(1.0, 1.0, 1.0, 1.0))
+    thickness: Float[Array, ""] = _numbers(default=0.2)
+    rotation: Float[Array, "3"] = _numbers(default=_ORIGIN)
     name: str = eqx.field(static=True, default="wall")
 
     def __check_init__(self) -> None:

@@ -405,7 +405,8 @@ class ArmModel(AbstractModel):
     def integration(self) -> Integration:
         """Its solver, and the relative and absolute tolerance."""
         return Integration(
-            as_text(self.solver), None if self.tolerance is None else float(self.tolerance)
+            self.solver if isinstance(self.solver, str) else as_text(self.solver),
+            None if self.tolerance is None else float(self.tolerance),
         )
 
     def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
@@ -434,14 +435,15 @@ class ArmModel(AbstractModel):
 
     def definition(self) -> dict[str, Any]:
         """The arm's constants, its sensors and the settings of the integrator."""
-        controller = {"stepsize_controller": as_text(self.stepsize_controller)}
-        controller = {} if self.stepsize_controller is None else controller
+        integration, controller = self.integration(), {}
+        if self.stepsize_controller is not None:
+            controller = {"stepsize_controller": as_text(self.stepsize_controller)}
         return {
             "arm": arm_to_definition(self.arm),
             **sensors_to_definition(self.sensors),
             "simulation": {
-                "solver": as_text(self.solver),
-                "tolerance": self.integration().tolerance,
+                "solver": integration.solver,
+                "tolerance": integration.tolerance,
                 "max_steps": self.max_steps,
                 **controller,
             },

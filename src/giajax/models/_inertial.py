@@ -1,7 +1,7 @@
 """What an IMU and an inclinometer on a link show: rates, specific force and inclination."""
 
 import functools
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +17,8 @@ from ._arm_sensors import AbstractSensor, Marker, per_row
 PerLink = Float[Array, ""] | Float[Array, " link"] | None
 
 
-def _each(unit: str, doc: str) -> Any:
-    """A parameter of the sensors of all links, or of each, that is left out by default."""
-    return parameter(0.0, unit=unit, doc=doc, optional=True, per="link", each=True)
+# A parameter of the sensors of all links, or of each, that is left out by default.
+_each = functools.partial(parameter, 0.0, optional=True, per="link", each=True)
 
 
 def _in_frames(vectors: Float[Array, "3 link"], here: Pose) -> Float[Array, "link 3"]:
@@ -44,9 +43,9 @@ class Gyroscope(AbstractSensor):
     kind: ClassVar[str] = "gyroscope"
     channel = IMU_RATE
 
-    offset_x: PerLink = _each("rad/s", "what it shows at rest along a link")
-    offset_y: PerLink = _each("rad/s", "what it shows at rest to the left of a link")
-    offset_z: PerLink = _each("rad/s", "what it shows at rest upwards of a link")
+    offset_x: PerLink = _each(unit="rad/s", doc="what it shows at rest along a link")
+    offset_y: PerLink = _each(unit="rad/s", doc="what it shows at rest to the left of a link")
+    offset_z: PerLink = _each(unit="rad/s", doc="what it shows at rest upwards of a link")
 
     def values(self, motion: Trajectory) -> Float[Array, "sample link 3"]:
         """In the frames of the links, with the offsets."""
@@ -70,12 +69,12 @@ class Accelerometer(AbstractSensor):
     kind: ClassVar[str] = "accelerometer"
     channel = IMU_FORCE
 
-    along: PerLink = _each("m", "distance of an IMU from the centre of its link, along it")
-    left: PerLink = _each("m", "distance of an IMU to the left of the centre of its link")
-    up: PerLink = _each("m", "distance of an IMU above the centre of its link")
-    offset_x: PerLink = _each("m/s^2", "what it shows too much along a link")
-    offset_y: PerLink = _each("m/s^2", "what it shows too much to the left of a link")
-    offset_z: PerLink = _each("m/s^2", "what it shows too much upwards of a link")
+    along: PerLink = _each(unit="m", doc="distance of an IMU from the centre of its link, along it")
+    left: PerLink = _each(unit="m", doc="distance of an IMU to the left of the centre of its link")
+    up: PerLink = _each(unit="m", doc="distance of an IMU above the centre of its link")
+    offset_x: PerLink = _each(unit="m/s^2", doc="what it shows too much along a link")
+    offset_y: PerLink = _each(unit="m/s^2", doc="what it shows too much to the left of a link")
+    offset_z: PerLink = _each(unit="m/s^2", doc="what it shows too much upwards of a link")
 
     def values(self, motion: Trajectory) -> Float[Array, "sample link 3"]:
         """In the frames of the links, with the offsets."""
@@ -101,7 +100,7 @@ class Inclinometer(AbstractSensor):
     kind: ClassVar[str] = "inclinometer"
     channel = INCLINATION
 
-    offset: PerLink = _each("rad", "what it shows of a horizontal link")
+    offset: PerLink = _each(unit="rad", doc="what it shows of a horizontal link")
 
     def values(self, motion: Trajectory) -> Float[Array, "sample link"]:
         """Of the direction of each link."""

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.text import InputError
-from ._linearly_implicit import LinearlyImplicit, Solver, solver as method_named
+from ._linearly_implicit import SOLVERS, LinearlyImplicit, Solver, solver as method_named
 from ._motion import Inputs, Rates, State, fastest_rate
 from ._return_mapping import turns
 from ._signal import last_before
@@ -98,6 +98,8 @@ def _with(controller: Any, rtol: Any, atol: Any) -> Any:
 
 def check_method(solver: Solver, controller: object = None, *, slides: bool = False) -> None:
     """Refuse (`InputError`) a solver, or a controller of its steps, that no arm moves by."""
+    if controller is None and isinstance(solver, str) and solver in SOLVERS:
+        return
     method = method_named(solver)
     fixed, name = isinstance(controller, diffrax.StepTo), type(method).__name__
     adaptive = controller is None or isinstance(

@@ -18,10 +18,12 @@ from ..fitting import (
     WarmStart,
     load_result,
     prediction_errors,
+    set_up,
     set_up_with_hold_out,
     solve,
     versions,
 )
+from ..models import model_for
 from ..recordings import Definition, Run
 from ..runtime.plugins import check_sources, sources_of
 from ..runtime.text import InputError
@@ -192,7 +194,11 @@ def prepare(
     added to those of the `earlier` result.
     """
     begin = None if record["begin"] is None else WarmStart(**record["begin"])
-    setup, held_out = set_up_with_hold_out(definition.fit, runs, begin)
+    setup, held_out = (
+        set_up_with_hold_out(definition.fit, runs, begin)
+        if definition.fit.hold_out
+        else (set_up(model_for(runs), runs, definition.fit, begin=begin), None)
+    )
     free = [parameter.path for parameter in setup.parameters]
     if uncertainty := definition.fit.uncertainty:
         check_uncertainty(setup.model, free, uncertainty, setup.config.get("ties"))
