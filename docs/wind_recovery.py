@@ -15,9 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from giajax import ArmModel, Run, fit_wind, gusts, link_centres, takeichi_20m
+from giajax import ArmModel, Run, fit_wind, gusts, takeichi_20m
 from giajax.apps.synthetic import synthesise
 from giajax.apps.wind import WindFit
+from giajax.mechanics.arm import link_centres
 
 PAGE = Path(__file__).with_name("wind.md")
 BEGIN, END = "<!-- wind_recovery.py writes from here -->\n", "<!-- to here -->\n"

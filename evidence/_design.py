@@ -31,7 +31,7 @@ def run(size: int, seed: int) -> Figures:
     found = giajax.design_experiment(
         model,
         [DRAG],
-        giajax.Limits(),
+        giajax.apps.design.Limits(),
         free=list(TRUTH),
         channels=CHANNELS,
         noise={"position": NOISE},

@@ -45,7 +45,7 @@ def test_an_edit_of_the_physics_makes_other_programs(tmp_path):
     first = programs(tmp_path)
     assert first > 0
     assert programs(tmp_path) == first
-    edited = [giajax.drag_force, giajax.simulate]
+    edited = [giajax.mechanics.arm.drag_force, giajax.simulate]
     for number, code in enumerate(edited, 2):
         source = Path(inspect.getsourcefile(inspect.unwrap(code))).relative_to(PACKAGE)
         with (tmp_path / "copy" / "giajax" / source).open("a") as file:

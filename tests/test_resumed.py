@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 import giajax
-from giajax import FitTask, load_profiles, load_result, read_run
+from giajax import FitTask, load_result, read_run
 from giajax.cli import main
 from giajax.report import summary
 from giajax.runtime.execution import InProcess
 from giajax.runtime.tasks import Task
-from giajax.studies import Fitted, PosteriorSummary
+from giajax.studies import Bootstrap, Fitted, Influence, PosteriorSummary, load_profiles
 from page_reader import Page
 
 EARLIER = Path(__file__).parent / "earlier"
@@ -163,7 +163,10 @@ def test_what_lies_beside_a_result_is_read(tmp_path, monkeypatch):
     shutil.copytree(EARLIER / "written" / "beside", tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     result = load_result("fit")
-    for name, kind in (("bootstrap", giajax.Bootstrap), ("influence", giajax.Influence)):
+    for name, kind in (
+        ("bootstrap", Bootstrap),
+        ("influence", Influence),
+    ):
         text = Path(f"fit/{name}.json").read_text()
         assert json.loads(kind.of_json(text).to_json()) == json.loads(text)
     assert json.loads(load_profiles("fit").to_json()) == record("fit/profiles.json")

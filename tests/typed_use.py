@@ -10,9 +10,9 @@ import giajax
 
 result = giajax.FitTask.load("fit.toml").on_top(loss="huber").run()
 assert_type(result, giajax.FitResult)
-assert_type(result.parameters["joints.damping"], giajax.Estimate)
+assert_type(result.parameters["joints.damping"], giajax.fitting.Estimate)
 assert_type(result.parameters["joints.damping"].unit, str)
-assert_type(result.runs[0], giajax.RunFit)
+assert_type(result.runs[0], giajax.fitting.RunFit)
 assert_type(giajax.read_run("run.csv"), giajax.Run)
 
 load: Callable[[str], giajax.FitResult] = giajax.load_result

@@ -297,7 +297,8 @@ def whole_arm(name: str) -> Run:
     """The arm, driven by the pressures of a controller that knows no friction and no stiffness."""
     import jax.numpy as jnp
 
-    from giajax import arm_from_definition, model_for, replace, synthesise
+    from giajax import model_for, replace, synthesise
+    from giajax.models import arm_from_definition
 
     options = {path: _WHOLE_JOINT[path] for path in list(_WHOLE_JOINT)[:2]}
     known = {"arm": {**_WHOLE_ARM, "parameters": options}}

@@ -15,11 +15,11 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 
 import giajax
 from giajax.apps.experiments import figure_12, one_link
-from giajax.apps.filling import curve_figure, filling_figure
+from giajax.apps.filling import curve_figure, filling_curve, filling_figure
 from giajax.apps.joint import correction_figure, equilibria_figure, equilibria_table, joint_figure
 from giajax.apps.mission import Mission, mission_figure
 from giajax.apps.paper import reproduce
-from giajax.mechanics.joint import LARGEST_ANGLE
+from giajax.mechanics.joint import LARGEST_ANGLE, JointPair
 from giajax.report import (
     correlation_figure,
     draw_scene,
@@ -45,7 +45,7 @@ def _animated() -> None:
     command = giajax.joint_ramps(arm.count, {1: np.deg2rad(30)}, start=0.5, duration=1.0)
     times = jnp.linspace(0.0, 25.0, 126)
     scenes = {
-        title: giajax.arm_scene(giajax.simulate(each, command, times, solver="springs5"))
+        title: giajax.models.arm_scene(giajax.simulate(each, command, times, solver="springs5"))
         for title, each in (("in air, C_D = 1.2", arm), ("without air", still))
     }
     figure = new_figure(8.6, 4.2, "")
@@ -87,7 +87,7 @@ def _correlation() -> None:
 
 def _joint() -> None:
     """One joint at rest."""
-    pair = giajax.JointPair()
+    pair = JointPair()
     end = round(float(np.rad2deg(LARGEST_ANGLE)))
     holding, _ = equilibria_table(pair, np.linspace(-end, end, 2 * end + 1))
     _save("equilibria", to_png(equilibria_figure(pair, holding, 20.0)))
@@ -99,7 +99,7 @@ def _sensitivity() -> None:
     """When and where the paper's experiment shows C_D."""
     times = np.linspace(0.0, 25.0, 251)
     command = np.interp(times, [0.5, 1.5], [0.0, np.deg2rad(30.0)])
-    run = giajax.planned(times, {"joint01_command": command}, links=20)
+    run = giajax.apps.synthetic.planned(times, {"joint01_command": command}, links=20)
     found = giajax.sensitivity(
         giajax.ArmModel(giajax.takeichi_20m()), run, ["air.drag_coefficient"]
     )
@@ -114,7 +114,7 @@ def _hysteresis() -> None:
 def _filling() -> None:
     """The arm filled with helium, and which port goes with which supply."""
     _save("filling", to_png(filling_figure(giajax.fill())))
-    _save("filling_curve", to_png(curve_figure(giajax.filling_curve())))
+    _save("filling_curve", to_png(curve_figure(filling_curve())))
 
 
 def _mission() -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 import equinox as eqx
 
 import giajax
-from giajax.mechanics.joint import Friction
+from giajax.mechanics.joint import EmpiricalMuscle, Friction, Joint, Piston
 from giajax.schema import KINDS, FillingSection
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -39,7 +39,7 @@ def _assumed(model: eqx.Module) -> Iterator[str]:
 def _assumed_filling() -> Iterator[str]:
     """The same of a filling, without what is assumed of its arm."""
     arm = giajax.declared(giajax.takeichi_20m())
-    for row in _assumed(giajax.Filling()):
+    for row in _assumed(giajax.mechanics.inflation.Filling()):
         if not any(row.startswith(f"| `{path}` ") for path in arm):
             yield row
 
@@ -99,10 +99,10 @@ def _files(room: str) -> Iterator[str]:
 
 TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "assumed arm": lambda: _assumed(giajax.ArmModel(giajax.takeichi_20m())),
-    "assumed joint": lambda: _assumed(giajax.JointModel(giajax.Joint())),
+    "assumed joint": lambda: _assumed(giajax.JointModel(Joint())),
     "assumed braided muscle": lambda: _assumed(giajax.MuscleModel(friction=Friction())),
-    "assumed empirical muscle": lambda: _assumed(giajax.MuscleModel(giajax.EmpiricalMuscle())),
-    "assumed piston": lambda: _assumed(giajax.MuscleModel(giajax.Piston())),
+    "assumed empirical muscle": lambda: _assumed(giajax.MuscleModel(EmpiricalMuscle())),
+    "assumed piston": lambda: _assumed(giajax.MuscleModel(Piston())),
     "assumed filling": _assumed_filling,
     "filling keys": _filling_keys,
     "channels": _channels,

@@ -1,5 +1,8 @@
 """A differentiable simulator of very long, very light, air-dominated robot arms.
 
+A name stands here where a notebook writes it on the way from a recording or an arm to a fit, its
+studies and its files; parts of an arm, equations, and what is only returned are in their rooms.
+
 The public names are listed once, in `__init__.pyi`, which editors and type checkers read too. Each
 is imported from its room when it is first used (SPEC 1), so that what needs no JAX (reading runs,
 the command line's help) starts without it.

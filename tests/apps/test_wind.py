@@ -44,7 +44,7 @@ WAVES = np.array([0.1, 0.7])
 @functools.cache
 def moved(kind, seed=0):
     """Angles of the joints in gusts, or in small waves along the mean wind."""
-    places = np.asarray(giajax.link_centres(MODEL.arm, jnp.zeros(2)))
+    places = np.asarray(giajax.mechanics.arm.link_centres(MODEL.arm, jnp.zeros(2)))
     if kind == "wave":
         wave = 0.005 * SPEED * np.sin(2 * np.pi * WAVES[:, None] * TIMES).sum(axis=0)
         rows = np.tile(MEAN + wave[:, None] * MEAN / SPEED, (1, 2))

@@ -9,10 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from giajax import ArmModel, arm_from_definition, read_run
+from giajax import ArmModel, read_run
 from giajax.cli import main
 from giajax.cli._simulate import gusts_of
 from giajax.fitting import predict
+from giajax.models import arm_from_definition
 from giajax.recordings import Definition
 from giajax.schema.parameters import replace
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax import InputError, Prior, RunFit, fit
-from giajax.fitting import Layout, members, set_up, sharing
+from giajax import InputError, Prior, fit
+from giajax.fitting import Layout, RunFit, members, set_up, sharing
 from giajax.runtime.records import from_plain
 from giajax.studies import refit
 from toy_model import TRUTH, Decay, height, run

@@ -21,6 +21,7 @@ from giajax.fitting import (
     residual,
 )
 from giajax.models import ArmModel, arm_to_definition, build_model, model_for, parameter_values
+from giajax.simulation import logged
 
 TIMES = np.linspace(0.0, 6.0, 61)
 LINKS = 4
@@ -69,7 +70,7 @@ def run():
 @pytest.mark.slow
 def test_predictions_are_those_of_simulate(run):
     arm = truth_model().arm
-    command = giajax.logged(TIMES, np.stack([ramp(0.6), ramp(-0.4), 0 * TIMES, 0 * TIMES], -1))
+    command = logged(TIMES, np.stack([ramp(0.6), ramp(-0.4), 0 * TIMES, 0 * TIMES], -1))
     motion = giajax.simulate(arm, command, TIMES, rtol=1e-9, atol=1e-9)
     names = ("link03_y", "tip_x", "joint02_angle", "joint01_rate")
     predicted = giajax.predict(truth_model(), run, names)

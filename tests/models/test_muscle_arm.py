@@ -12,6 +12,7 @@ from giajax import InputError, Run
 from giajax.cli import main
 from giajax.fitting import fit
 from giajax.mechanics.arm import acceleration
+from giajax.mechanics.joint import Joint
 from giajax.models import (
     SCALE,
     ArmModel,
@@ -79,7 +80,7 @@ def test_each_key_changes_the_arm():
 
 def test_paths_are_those_of_a_joint_and_of_a_muscle():
     arm = declared(ArmModel(giajax.chain(2, muscles="all")))
-    others = [declared(JointModel(giajax.Joint())), declared(MuscleModel())]
+    others = [declared(JointModel(Joint())), declared(MuscleModel())]
     shared = [path for other in others for path in other if path != "length"]
     assert len(shared) > 20
     for path in shared:

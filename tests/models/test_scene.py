@@ -7,22 +7,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax import (
-    InputError,
-    Joint,
-    JointModel,
-    MuscleModel,
-    Run,
-    chain,
-    contacts,
-    joint_steps,
-    muscle_path,
-    predict,
-    simulate,
-)
+from giajax import InputError, JointModel, MuscleModel, Run, chain, joint_steps, predict, simulate
 from giajax.mechanics.arm import Contact, drag_force
+from giajax.mechanics.joint import Joint, muscle_path
 from giajax.mechanics.obstacles import Plane
 from giajax.models import Line, Marker, Scene, arm_scene, capabilities, joint_scene, model_for
+from giajax.simulation import contacts
 from small_arm import small_run
 
 ANGLES = np.deg2rad([-60.0, -30.0, -2.0, 2.0, 10.0, 45.0])

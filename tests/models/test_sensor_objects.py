@@ -39,7 +39,7 @@ def bent(links=3, **changes):
 def held():
     """A horizontal link that its spring holds up, at rest."""
     arm = giajax.chain(1, parameters={"gravity": GRAVITY})
-    load = giajax.inverse_dynamics(arm, *[jnp.zeros(1)] * 3)
+    load = giajax.mechanics.arm.inverse_dynamics(arm, *[jnp.zeros(1)] * 3)
     command = load / arm.spring_stiffness
     return moving(arm, [0.0], command=constant(command))
 

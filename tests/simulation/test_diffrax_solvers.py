@@ -111,9 +111,9 @@ def test_what_does_not_work_is_refused(options, sentence):
 def test_settings_and_a_stepper_refuse_what_a_fit_or_a_motion_would():
     with pytest.raises(InputError, match=r"fit.solver.*there is no solver Euller: give"):
         giajax.recordings.fit_settings({"solver": "Euller()"})
-    giajax.Stepper(ARM, 0.1, solver=diffrax.Euler())
+    giajax.simulation.Stepper(ARM, 0.1, solver=diffrax.Euler())
     with pytest.raises(InputError, match="Euler estimates no error of a step"):
-        giajax.Stepper(ARM, 0.1, solver=diffrax.Euler(), tolerance=1e-6)
+        giajax.simulation.Stepper(ARM, 0.1, solver=diffrax.Euler(), tolerance=1e-6)
 
 
 def test_what_slides_needs_an_error_of_each_step():

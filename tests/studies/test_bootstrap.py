@@ -8,9 +8,9 @@ import pytest
 from line import FREE, SIGMA, Line, columns
 
 import giajax
-from giajax import Bootstrap, InputError
+from giajax import InputError
 from giajax.noise import ChannelNoise
-from giajax.studies import _bootstrap
+from giajax.studies import Bootstrap, _bootstrap
 
 SIZE = 96
 

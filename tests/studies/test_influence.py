@@ -7,11 +7,11 @@ import pytest
 from line import FREE, SIGMA, Line, columns, recorded
 
 import giajax
-from giajax import Influence, InputError
+from giajax import InputError
 from giajax.fitting import CellEquations
 from giajax.noise import whitened
 from giajax.report import influence_table
-from giajax.studies import Fitted, optimum_of, parts_of
+from giajax.studies import Fitted, Influence, optimum_of, parts_of
 
 DRIFTING = {"position_m": SIGMA, "position_correlated_m": 0.015, "position_correlation_s": 0.4}
 

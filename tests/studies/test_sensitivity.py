@@ -15,7 +15,7 @@ TIMES = np.linspace(0.0, 4.0, 41)
 COMMAND = {"joint01_command": np.interp(TIMES, [0.5, 1.5], [0.0, 0.5])}
 FREE = ["air.drag_coefficient", "joints.pitch_stiffness"]
 ALL = [*FREE, "joints.yaw_stiffness", "joints.damping", "camera.origin", "links.mass[1]"]
-RUN = giajax.planned(TIMES, COMMAND, links=3)
+RUN = giajax.apps.synthetic.planned(TIMES, COMMAND, links=3)
 
 
 def model():

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax import FitTask, InputError, fit, load_result, model_for, prediction_errors, read_run
+from giajax import FitTask, InputError, fit, load_result, model_for, read_run
+from giajax.fitting import prediction_errors
 from giajax.recordings import Definition
 from giajax.tasks import _preparation
 from small_loops import write_task

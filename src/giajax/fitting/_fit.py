@@ -215,7 +215,7 @@ def fit(
             noise plus an AR(1) in continuous time), and how large and long it is where the runs
             do not state it; "white" takes every cell for independent of the others.
         noise_per_run: estimate the noise of a channel in each run by itself, not in all together.
-        solver: of the simulation, one of `giajax.SOLVERS` or of diffrax, such as
+        solver: of the simulation, one of `giajax.simulation.SOLVERS` or of diffrax, such as
             `diffrax.Kvaerno4()`; by default that of the model.
         tolerance: relative and absolute tolerance of the simulation; by default the model's, or
             where that leaves it open, 1e-5 (3e-6 of more than 5,000 rows) or as much finer as it

@@ -52,7 +52,7 @@ class IntegrationFit:
     """How a fit integrated its model.
 
     Attributes:
-        solver: one of `giajax.SOLVERS`.
+        solver: one of `giajax.simulation.SOLVERS`.
         tolerance: relative and absolute tolerance of a step, where the fit ended.
         chosen: whether the fit chose the tolerance; otherwise it was stated.
     """

@@ -230,7 +230,7 @@ class Filling(eqx.Module):
 
     Example:
         >>> import giajax
-        >>> giajax.Filling(shared=((1, 2), (3, 4, 5))).bags
+        >>> giajax.mechanics.inflation.Filling(shared=((1, 2), (3, 4, 5))).bags
         17
     """
 

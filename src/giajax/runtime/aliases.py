@@ -56,13 +56,48 @@ _REPORTS = {
     "apps.wind": "wind_figure wind_json",
 }
 
+# What `giajax` itself had, by the room that has it now.
+_TO_ROOMS = {
+    "apps.control": "Compensator compensator_for_loop compensator_for_model",
+    "apps.design": "Design Limits",
+    "apps.filling": "Filled FillingCurve filling_curve",
+    "apps.synthetic": "RecordingErrors planned recorded_again",
+    "apps.wind": "WindFit",
+    "fitting": "ChannelFit Estimate Finding GradientCheck Marquardt PredictionErrors RunFit "
+    "Suspect prediction_errors",
+    "mechanics.arm": "Air Buoyancy Joints Links Pneumatics PointMasses acceleration "
+    "cylinder_drag_coefficient damping_power drag_force drag_power forward_dynamics "
+    "inverse_dynamics joint_torque kinetic_energy link_centres link_velocities mass_matrix "
+    "muscle_power net_lift potential_energy tip_position trimmed",
+    "mechanics.hysteresis": "BoucWen BoucWenOscillator ModifiedPrandtlIshlinskii "
+    "PrandtlIshlinskii Preisach",
+    "mechanics.inflation": "Filling",
+    "mechanics.joint": "BraidedMuscle Correction EmpiricalMuscle Friction Joint JointGeometry "
+    "JointPair Piston branch_angles equilibria joint_spring muscle_force muscle_path "
+    "muscle_pressure muscle_state pair_command",
+    "models": "OscillatorModel Scene Sensors SeveralModels arm_from_definition arm_scene "
+    "joint_scene",
+    "noise": "Reason Verdict",
+    "recordings": "describe",
+    "report": "draw_scene",
+    "schema": "KINDS",
+    "simulation": "RESULTS SOLVERS Contacts Moment Pressures Signal Stepper contacts logged",
+    "studies": "Bootstrap Comparison Influence Posterior Profile Profiles Sensitivity Suspects "
+    "choose_hysteresis load_profiles",
+}
+
+
+def _each(rooms: dict[str, str]) -> dict[str, str]:
+    return {name: f"{room}.{name}" for room, names in rooms.items() for name in names.split()}
+
+
 RENAMED: dict[str, dict[str, str]] = {
     "report": {
-        **{name: f"{app}.{name}" for app, names in _REPORTS.items() for name in names.split()},
+        **_each(_REPORTS),
         "ladder_table": "report.stepwise_table",
     },
     "fitting": {"Beginning": "fitting.WarmStart", "NoiseModel": "recordings.NoiseModel"},
-    "": {"AbstractDirectModel": "models.AbstractModel"},
+    "": {**_each(_TO_ROOMS), "AbstractDirectModel": "models.AbstractModel"},
     "kinds": {
         "Content": "schema.RecordedRun",
         "Offer": "schema.SectionTemplate",

@@ -304,10 +304,10 @@ def simulate(
         pressure: supplied to muscles over time (`Pressures`), where the arm has some; by default
             their controller supplies those that hold the command.
         initial: angles (rad) and rates (rad/s) at the first time, each of shape (joint,).
-        solver: one of `giajax.SOLVERS`; "springs5", a linearly implicit additive Runge-Kutta method
-            of order 5, is the fastest wherever springs, not accuracy, limit the steps of the
-            default. Or any solver of diffrax for ordinary differential equations, such as
-            `diffrax.Kvaerno4()`.
+        solver: one of `giajax.simulation.SOLVERS`; "springs5", a linearly implicit additive
+            Runge-Kutta method of order 5, is the fastest wherever springs, not accuracy, limit the
+            steps of the default. Or any solver of diffrax for ordinary differential equations, such
+            as `diffrax.Kvaerno4()`.
         rtol, atol: relative and absolute tolerance of a step, on angles (rad) and rates (rad/s);
             "springs5" weighs those (docs/solvers.md).
             The default keeps the tip of the 20 m arm within about 1e-4 m.

@@ -70,7 +70,7 @@ class Stepper(eqx.Module):
 
     Example:
         >>> import giajax, jax.numpy as jnp
-        >>> stepper = giajax.Stepper(giajax.takeichi_20m(), interval=0.1, steps=2)
+        >>> stepper = giajax.simulation.Stepper(giajax.takeichi_20m(), interval=0.1, steps=2)
         >>> moment = stepper.start()
         >>> for _ in range(10):
         ...     moment = stepper.advance(moment, moment.command.at[0].add(0.005))

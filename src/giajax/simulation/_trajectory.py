@@ -213,7 +213,7 @@ def contacts(trajectory: Trajectory) -> Contacts:
         >>> arm = giajax.takeichi_20m(contact=Contact(obstacles=(ground,)))
         >>> command = giajax.joint_ramps(20, {1: 0.3}, start=0.5, duration=2.0)
         >>> motion = giajax.simulate(arm, command, jnp.linspace(0.0, 10.0, 101))
-        >>> giajax.contacts(motion).flattening.shape
+        >>> giajax.simulation.contacts(motion).flattening.shape
         (101, 20, 1)
     """
     contact = trajectory.arm.contact

@@ -126,7 +126,7 @@ def sensitivity(
         >>> import giajax, numpy as np
         >>> from giajax.studies import sensitivity
         >>> command = {"joint01_command": np.full(51, 0.3)}
-        >>> run = giajax.planned(np.linspace(0.0, 5.0, 51), command, links=4)
+        >>> run = giajax.apps.synthetic.planned(np.linspace(0.0, 5.0, 51), command, links=4)
         >>> result = sensitivity(giajax.model_for([run]), run, ["air.drag_coefficient"])
         >>> result.derivatives.shape
         (1, 51, 12)

@@ -6,10 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from giajax import InputError, Limits
+from giajax import InputError
 from giajax.apps.design import (
     CommandSeries,
     Criterion,
+    Limits,
     Search,
     base_step,
     chosen_markers,

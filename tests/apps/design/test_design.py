@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 import giajax
-from giajax import ArmModel, InputError, Limits, design_experiment, read_run
+from giajax import ArmModel, InputError, design_experiment, read_run
 from giajax.apps.design import (
     CommandSeries,
     Criterion,
     Design,
     Expected,
     Informed,
+    Limits,
     RobustError,
     base_step,
     design_json,

@@ -9,9 +9,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import giajax
-from giajax import Filling, InputError, chain, fill, filling_curve, replace
-from giajax.apps.filling import State, rates
-from giajax.mechanics.inflation import Ports, Supply
+from giajax import InputError, chain, fill, replace
+from giajax.apps.filling import State, filling_curve, rates
+from giajax.mechanics.inflation import Filling, Ports, Supply
 from giajax.schema import FillingSection
 
 ROOM, DENSITY, AIR = 101325.0, 0.1664, 1.204

@@ -337,7 +337,7 @@ def design_experiment(
     Example:
         >>> import giajax
         >>> arm = giajax.ArmModel(giajax.takeichi_20m())
-        >>> limits = giajax.Limits(joints=(1, 3), duration=20.0)
+        >>> limits = giajax.apps.design.Limits(joints=(1, 3), duration=20.0)
         >>> found = giajax.design_experiment(
         ...     arm, ["air.drag_coefficient"], limits
         ... )  # doctest: +SKIP

@@ -204,10 +204,11 @@ def equilibria(
         InputError: pressures that are not two numbers of at least 0, or an impossible geometry.
 
     Example:
-        >>> import giajax, numpy as np
-        >>> pair = giajax.JointPair()
-        >>> command = giajax.pair_command(pair, np.deg2rad(20.0))
-        >>> rests = giajax.equilibria(pair, command.pressures)
+        >>> import numpy as np
+        >>> from giajax.mechanics.joint import JointPair, equilibria, pair_command
+        >>> pair = JointPair()
+        >>> command = pair_command(pair, np.deg2rad(20.0))
+        >>> rests = equilibria(pair, command.pressures)
         >>> [(round(float(np.rad2deg(item.angle)), 1), item.stable) for item in rests.every]
         [(-6.0, True), (-3.3, False), (20.0, True)]
     """

@@ -306,8 +306,8 @@ def muscle_force(
             more.
 
     Example:
-        >>> import giajax
-        >>> float(giajax.muscle_force(giajax.BraidedMuscle(dead_band=0.0), 100e3, 0.0)) > 17
+        >>> from giajax.mechanics.joint import BraidedMuscle, muscle_force
+        >>> float(muscle_force(BraidedMuscle(dead_band=0.0), 100e3, 0.0)) > 17
         True
     """
     pressure, contraction, length = _arrays(pressure, contraction, length)
@@ -332,8 +332,8 @@ def muscle_pressure(
         InputError: a number that is not finite, or a contraction of 1 or more.
 
     Example:
-        >>> import giajax
-        >>> answer = giajax.muscle_pressure(giajax.BraidedMuscle(), 2.0, 0.35)
+        >>> from giajax.mechanics.joint import BraidedMuscle, muscle_pressure
+        >>> answer = muscle_pressure(BraidedMuscle(), 2.0, 0.35)
         >>> bool(answer.reached), answer.message()
         (False, 'the muscle does not shorten so far at any pressure: ask for less contraction')
     """

@@ -87,8 +87,9 @@ def pair_command(
             geometry.
 
     Example:
-        >>> import giajax, numpy as np
-        >>> command = giajax.pair_command(giajax.JointPair(), np.deg2rad(20.0))
+        >>> import numpy as np
+        >>> from giajax.mechanics.joint import JointPair, pair_command
+        >>> command = pair_command(JointPair(), np.deg2rad(20.0))
         >>> [round(float(pressure) / 1e3, 1) for pressure in command.pressures]
         [29.5, 27.2]
     """
@@ -248,9 +249,10 @@ def joint_spring(
         InputError: there is no equilibrium near, or it is not stable, or it lies at 0.
 
     Example:
-        >>> import giajax, numpy as np
-        >>> pair, angle = giajax.JointPair(), np.deg2rad(20.0)
-        >>> spring = giajax.joint_spring(pair, giajax.pair_command(pair, angle).pressures, angle)
+        >>> import numpy as np
+        >>> from giajax.mechanics.joint import JointPair, joint_spring, pair_command
+        >>> pair, angle = JointPair(), np.deg2rad(20.0)
+        >>> spring = joint_spring(pair, pair_command(pair, angle).pressures, angle)
         >>> round(float(spring.stiffness), 3)
         0.358
     """

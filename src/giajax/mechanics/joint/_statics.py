@@ -287,8 +287,9 @@ def muscle_state(
             number that is not finite, or a side that contradicts an angle.
 
     Example:
-        >>> import giajax, numpy as np
-        >>> state = giajax.muscle_state(giajax.Joint(), np.deg2rad([40.0, -60.0]))
+        >>> import numpy as np
+        >>> from giajax.mechanics.joint import Joint, muscle_state
+        >>> state = muscle_state(Joint(), np.deg2rad([40.0, -60.0]))
         >>> [round(float(force), 2) for force in state.force]
         [1.56, 0.0]
     """
