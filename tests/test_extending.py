@@ -19,6 +19,7 @@ RESULTS = {
     "hardening_joint": "hardening",
     "strain_gauge": "strain",
     "tethered_balloon": "balloon",
+    "wind_profile": "profile",
 }
 
 

@@ -453,6 +453,7 @@ def _not_exported(arm: Arm) -> Iterator[str]:
         "added mass": arm.air.added_mass_coefficient is not None,
         "the dependence of drag on the Reynolds number": arm.air.drag_curve != "constant",
         "the law of drag": arm.air.law is not None,
+        "the wind that is a function of place and time": arm.air.wind_field is not None,
         "what joints have beside springs, dampers and friction": bool(arm.joints.further_laws.laws),
         "muscles, and what balloons resist": arm.pneumatics is not None,
         "obstacles": arm.contact is not None,

@@ -63,7 +63,9 @@ _PLUGINS = Parameter(
     Parameter.KEYWORD_ONLY,
     default=None,
     annotation=Annotated[
-        Paths, "FILE.py", "Import the laws, losses, solvers, sensors or models that it registers."
+        Paths,
+        "FILE.py",
+        "Import the laws, winds, losses, solvers, sensors or models that it registers.",
     ],
 )
 

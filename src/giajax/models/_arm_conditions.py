@@ -94,7 +94,8 @@ def scale_conditions(
     # a changing wind on it; or forces that were measured on a bench.
     driven = "joint_torque" in kinds
     lifted = arm.buoyancy is not None and float(arm.gravity) != 0
-    blown = arm.air.added_mass_coefficient is not None and any(run.winds for run in runs)
+    changing = any(run.winds for run in runs) or arm.air.wind_field is not None
+    blown = arm.air.added_mass_coefficient is not None and changing
     measured = any(
         channel.quantity in ("force", "torque")
         for run in runs

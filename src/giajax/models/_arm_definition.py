@@ -13,6 +13,7 @@ from ..mechanics.arm import (
     MUSCLE_BLEND,
     AbstractDragLaw,
     AbstractJointLaw,
+    AbstractWind,
     Arm,
     Contact,
     Pneumatics,
@@ -143,7 +144,7 @@ def sensors_to_definition(sensors: Sensors) -> dict[str, dict[str, Any]]:
 
 # Keys of [arm] that are arguments of `chain`.
 _CHOICES = ("joint_axes", "drag", "strip_points", "drag_curve", "added_mass", "joint_laws",
-            "buoyancy", "trim")  # fmt: skip
+            "buoyancy", "trim", "wind_field")  # fmt: skip
 _ARGUMENTS = frozenset(signature(chain).parameters)
 
 
@@ -250,6 +251,8 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
         facts["added_mass"] = arm.air.added_mass
     if arm.joints.laws:
         facts["joint_laws"] = list(map(_law_name, arm.joints.laws.values()))
+    if arm.air.wind_field is not None:
+        facts["wind_field"] = _law_name(arm.air.wind_field)
     if arm.pneumatics is not None:
         facts |= _muscle_keys(arm.pneumatics, arm)
     if arm.contact is not None:
@@ -274,15 +277,16 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     return facts
 
 
-def _law_name(law: AbstractDragLaw | AbstractJointLaw) -> str:
+def _law_name(law: AbstractDragLaw | AbstractJointLaw | AbstractWind) -> str:
     """What files call a law that is registered, and is made from nothing but its parameters."""
     name, role = name_of(type(law)), law.registered_as
+    what = f"wind {name}" if role == "wind" else f"{role} law {name}"
     if registered(role, name) is not type(law):
         raise InputError(
-            f"the {role} law {name} is not registered, and a result could not name it: call "
-            "giajax.register of its class"
+            f"the {what} is not registered, and a result could not name it: call giajax.register "
+            f"of its class{' (a plain function has none: write one)' * (role == 'wind')}"
         )
-    _check_fields(law, f"{role} law {name}")
+    _check_fields(law, what)
     return name
 
 

@@ -36,8 +36,8 @@ def register(cls: Registered) -> Registered:
     """Make a class of yours known by its name, to files and to the command line.
 
     A model is called as its `kind`, everything else as its class. A package may have an entry point
-    of that name instead, of the group `giajax.models`, `giajax.drags`, `giajax.joints` or
-    `giajax.losses`.
+    of that name instead, of the group `giajax.models`, `giajax.drags`, `giajax.joints`,
+    `giajax.losses`, `giajax.sensors` or `giajax.winds`.
 
     Raises:
         InputError: it is of no class that giajax knows, lacks a method, or has the name of another.

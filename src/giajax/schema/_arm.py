@@ -118,6 +118,7 @@ def arm_template(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
     largest = max((channel.index or 0 for channel in numbered), default=0)
     commanded = bool(rows & set(COMMANDS))
     arm = dict.fromkeys(ArmSection.model_fields)
+    del arm["wind_field"]  # giajax has none that could be offered
     if largest > DEFAULT_LINKS:
         arm["links"] = largest
     places = {"link_position", "tip_position"}
@@ -275,7 +276,9 @@ def _notes(content: RecordedRun, sidecar: bool) -> list[str]:
         links = links_of(definition.section(ArmSection))
         if links is None or columns < 3 * links:
             notes.append("wind of links or along axes that are not recorded: taken as zero")
-    elif definition.section(WindSection).velocity_m_per_s is None:
+    elif definition.section(WindSection).velocity_m_per_s is None and (
+        definition.section(ArmSection).wind_field is None
+    ):
         notes.append("wind not stated: still air is assumed")
     return notes
 

@@ -331,13 +331,14 @@ class _Surroundings(_Links):
 
 
 def _known_law(role: str, *words: str) -> AfterValidator:
-    """A law as a file names it: by a word of giajax, or as a registered class of the role."""
+    """What a file names by a word of giajax, or as a registered class of the role."""
 
     def known(word: str) -> str:
         if word not in words and registered(role, word) is None:
-            listed = ", ".join(f'"{each}"' for each in words)
+            listed = "".join(f'"{each}", ' for each in words).removesuffix(", ")
             raise ValueError(
-                f"= {word!r} must be {listed} or a registered law: correct it, or give "
+                f"= {word!r} must be {listed}{' or ' * bool(words)}a registered "
+                f"{'law' if words else role}: correct it, or give "
                 "--plugin FILE.py"
             )
         return word
@@ -373,6 +374,10 @@ class ArmSection(_Surroundings):
         'a list of "hardening", "end_stops"',
         "laws of the joints beside springs, dampers and hysteresis",
         example=["hardening"],
+    )
+    wind_field: Annotated[str, _known_law("wind")] | None = key(
+        "the name of a registered wind",
+        "wind that is a function of place and time, beside that of the run",
     )
     buoyancy: bool | None = key(
         "true or false", "displaced air, helium and trim weights count", preset=False

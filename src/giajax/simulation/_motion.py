@@ -94,6 +94,7 @@ class Inputs(eqx.Module):
         torque: of the joints' drives over time, N m, or None.
         end: the last time before the end of the motion, s.
         pressure: supplied to muscles over time, or None where their controller does.
+        begin: the time of a wind field at 0 of all these times, s; None for 0.
     """
 
     arm: Arm
@@ -102,6 +103,7 @@ class Inputs(eqx.Module):
     torque: Signal | None
     end: Scalar
     pressure: Pressures | None = None
+    begin: Scalar | None = None
 
     def parts(self, state: "State") -> "Parts":
         """What the rows of a state are."""
@@ -167,7 +169,8 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
     met = None if arm.contact is None else touch(arm, angles, rates, skin if skin.size else None)
     if met is not None:
         torque = torque + met.torque
-    moved = forward_dynamics(arm, angles, rates, torque, air, gust)
+    clock = time if inputs.begin is None else inputs.begin + time
+    moved = forward_dynamics(arm, angles, rates, torque, air, gust, clock)
     rows = [rates[None], moved[None], laws.rate(laws.at(angles, rates, command, memory))]
     if arm.pneumatics is not None and arm.pneumatics.rows:
         supplied = inputs.supplied(time)

@@ -1,5 +1,6 @@
 """Motion of an arm over time: the checks of `simulate`, and its compiled core on diffrax."""
 
+from collections.abc import Callable
 from operator import attrgetter
 from typing import Any, Literal, TypeVar, get_args
 
@@ -10,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..mechanics.arm import Arm, mass_matrix
+from ..mechanics.arm import AbstractWind, Arm, mass_matrix, with_wind
 from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.programs import program
 from ..runtime.text import InputError
@@ -40,7 +41,7 @@ StepsFor = Literal["motion", "derivatives"]
 # Of an arm, beside the inputs and the initial state of every simulation.
 # What parameters of a law of one's own move is not known.
 _PARAMETERS = ("base_rotation", "gravity", "air.wind", "buoyancy", "point_masses", "pneumatics",
-               "joints.laws")  # fmt: skip
+               "joints.laws", "air.wind_field")  # fmt: skip
 
 # Of the muscles, whose parameters have no common name: where pressures hold a joint, each of them
 # moves it.
@@ -274,7 +275,7 @@ def simulate(
     command: Signal,
     times: Any,
     *,
-    wind: Signal | Any | None = None,
+    wind: Signal | AbstractWind | Callable[..., Any] | Any | None = None,
     torque: Signal | None = None,
     pressure: Pressures | None = None,
     initial: tuple[Any, Any] | None = None,
@@ -297,8 +298,11 @@ def simulate(
         command: commanded angles over time, rad; width = number of joints.
         times: increasing times of the samples, s, shape (sample,).
         wind: velocity of the air in the base frame, m/s: a signal of width 3, one of x, y and z
-            of link after link (width 3 times their number), three numbers, or
+            of link after link (width 3 times their number), three numbers, a function of place
+            and time (`giajax.mechanics.arm.with_wind`), which the arm of the motion then has, or
             None for still air. With added mass it must not jump: the force would be infinite.
+            A function has no corners: where it may be still for long before a gust, give steps a
+            length (`stepsize_controller=diffrax.PIDController(rtol, atol, dtmax=...)`).
         torque: of the joints' drives over time, beside springs and dampers, N m; width = number
             of joints.
         pressure: supplied to muscles over time (`Pressures`), where the arm has some; by default
@@ -345,7 +349,9 @@ def simulate(
     """
     dtype = jnp.result_type(float)
     times = jnp.asarray(times, dtype=dtype)
-    if wind is not None and not isinstance(wind, Signal):
+    if callable(wind) and not isinstance(wind, Signal):
+        arm, wind = with_wind(arm, wind), None
+    elif wind is not None and not isinstance(wind, Signal):
         wind = constant(wind)
     state = _initial_state(arm, initial)
     _check(arm, command, times, wind, torque, stepsize_controller)

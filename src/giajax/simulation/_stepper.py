@@ -164,6 +164,7 @@ def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | Non
         None if wind is None or moment.wind is None else _line(moment.wind, wind, interval),
         None,
         interval,
+        begin=moment.time,
     )
     method: Any = solver_named(stepper.solver, reverse=stepper.tolerance is None)
     if slides(arm):

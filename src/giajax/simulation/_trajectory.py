@@ -175,7 +175,7 @@ def _moved(motion: Trajectory, what: str) -> Array:
             wind_rate = along_links(motion.arm, motion.wind.rate(time))
         if motion.torque is not None:
             torque = motion.torque(time)
-        given = (command, wind, wind_rate, torque, memory, pressures, skin)
+        given = (command, wind, wind_rate, torque, memory, pressures, skin, time)
         return acceleration(motion.arm, angles, rates, *given)
 
     states = (motion.memory, motion.pressures, motion.skin)

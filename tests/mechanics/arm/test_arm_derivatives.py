@@ -48,14 +48,14 @@ def test_no_public_function_is_left_out():
         for name in dir(mechanics)
         if callable(getattr(mechanics, name)) and name[0].islower() and name[0] != "_"
     }
-    builders = {"chain", "named_axes", "pose", "preset", "trimmed", *mechanics.PRESETS}
+    builders = {"chain", "named_axes", "pose", "preset", "trimmed", "with_wind", *mechanics.PRESETS}
     without_state = {"cylinder_drag_coefficient", "net_lift", "bodies", "lift"}
     of_memory = {"hysteresis_power"}  # in test_joint_memory
     of_muscles = {"muscle_power"}  # in test_pneumatics
     of_contact = {"contact_energy", "contact_stiffness", "touch", "touched"}  # in test_contact
     # Parts of those that are tested, which rooms above and tests of identities use.
     parts = {"carried_inertia", "eliminate_and_solve", "motion_and_momentum", "solve_eliminated"}
-    parts |= {"flattening", "sum_from_tip", "check_drag_law", "check_joint_law"}
+    parts |= {"flattening", "sum_from_tip", "check_drag_law", "check_joint_law", "check_wind"}
     parts |= {"angular_velocities"}  # in test_sensor_objects
     others = builders | without_state | of_memory | of_muscles | of_contact | parts
     assert functions - others == set(FUNCTIONS)

@@ -268,6 +268,8 @@ def fit_wind(
         )
     if "decay" in free and not decay > 0:
         raise InputError("the decay is free and begins at 0: give a positive one")
+    if model.arm.air.wind_field is not None:
+        raise InputError("the arm has a wind field, and its wind is looked for: leave one out")
     own = model.arm.air.wind
     if mean is None:
         mean = run.definition.section(WindSection).velocity_m_per_s

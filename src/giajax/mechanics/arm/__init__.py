@@ -15,6 +15,7 @@ from ._arm import (
     takeichi_20m as takeichi_20m,
     takeichi_20m_full as takeichi_20m_full,
     trimmed as trimmed,
+    with_wind as with_wind,
 )
 from ._contact import (
     Pairs as Pairs,
@@ -93,3 +94,4 @@ from ._pneumatics import (
     MuscleDrive as MuscleDrive,
     Pneumatics as Pneumatics,
 )
+from ._wind import AbstractWind as AbstractWind, check_wind as check_wind

@@ -1,11 +1,12 @@
 """What the air does to the links: wind, drag, added mass and lift."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Float, cross, dot, safe_norm, scaled
+from ...runtime.arrays import Array, Float, Scalar, cross, dot, safe_norm, scaled
 from ._arm import Arm, lift
 from ._drag import Stream
 from ._joint_laws import PerJoint
@@ -16,10 +17,18 @@ Wind = Float[Array, "3"] | Float[Array, "link 3"]
 
 
 class Flow(NamedTuple):
-    """The air's velocity (m/s) and its rate (m/s^2): a column for the arm, or one for each link."""
+    """The air's velocity (m/s) and its rate (m/s^2): a column for the arm, or one for each link.
+
+    With the time (s) of a wind field, or None without one. Where that is, it is beside all else,
+    and `places` and `bodies` say how much faster (m/s) the air is at the places along the links
+    and at the bodies that they carry than at the links' centres.
+    """
 
     velocity: Float[Array, "3 places"]
     rate: Float[Array, "3 places"]
+    time: Scalar | None = None
+    places: Float[Array, "3 place link"] | None = None
+    bodies: Float[Array, "3 body"] | None = None
 
 
 class Load(NamedTuple):
@@ -29,15 +38,50 @@ class Load(NamedTuple):
     couple: Rows | None
 
 
-def flow(arm: Arm, wind: Wind | None, rate: Wind | None = None) -> Flow:
-    """The wind of a run; what is None is zero."""
+def flow(arm: Arm, wind: Wind | None, rate: Wind | None = None, time: Any = 0.0) -> Flow:
+    """The wind of a run; what is None is zero. The time, s, is that of a wind field."""
 
     def columns(vectors: Wind | None) -> Array:
         if vectors is None:
             return jnp.zeros((3, 1), arm.links.length.dtype)
         return vectors[:, None] if vectors.ndim == 1 else vectors.T
 
-    return Flow(columns(wind), columns(rate))
+    if arm.air.wind_field is None:
+        return Flow(columns(wind), columns(rate))
+    return Flow(columns(wind), columns(rate), jnp.asarray(time, arm.links.length.dtype))
+
+
+def with_field(arm: Arm, here: Pose, wind: Flow) -> Flow:
+    """A wind with that of the arm's wind field, where the links are.
+
+    Its rate is that of the air which is there, not that of the place: for added mass (Auton, Hunt
+    and Prud'homme, J. Fluid Mech. 197 (1988) 241).
+    """
+    field, time = arm.air.wind_field, wind.time
+    if field is None or time is None:
+        return wind
+    at = [here.centre]
+    if arm.air.drag_law.points:
+        places, _ = _gauss(arm.air.drag_law.points, here.centre.dtype)
+        along = places[None] * scaled(arm.links.length / 2, here.direction)[:, None]
+        at.append((here.centre[:, None] + along).reshape(3, -1))
+    carried = None if arm.point_masses is None else arm.point_masses.drag_area
+    if carried is not None:
+        carriers, lever = _levers(arm, here)
+        at.append(here.centre[:, carriers] + lever)
+    found = field(jnp.concatenate(at, axis=1).T, time).T
+    centre, places_too, bodies = found[:, : arm.count], None, None
+    if arm.air.drag_law.points:
+        end = arm.count * (1 + arm.air.drag_law.points)
+        places_too = found[:, arm.count : end].reshape(3, -1, arm.count) - centre[:, None]
+    if carried is not None:
+        bodies = found[:, -len(carriers) :] - centre[:, carriers]
+    own = Flow(centre + wind.velocity, wind.rate, time, places_too, bodies)
+    if arm.air.added_mass_coefficient is None:
+        return own
+    carried_along = relative_velocity(arm, jnp.zeros_like(centre), own)
+    given = (here.centre.T, time), (-carried_along.T, jnp.ones_like(time))
+    return own._replace(rate=wind.rate + jax.jvp(field, *given)[1].T)
 
 
 def relative_velocity(arm: Arm, centre_velocity: Rows, wind: Flow) -> Rows:
@@ -46,7 +90,7 @@ def relative_velocity(arm: Arm, centre_velocity: Rows, wind: Flow) -> Rows:
     return centre_velocity - (wind.velocity if own is None else wind.velocity + own[:, None])
 
 
-def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
+def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows, wind: Flow) -> Load:
     """Drag on each link, and on the bodies that it carries.
 
     F = -1/2 rho (C_D A) |V| V at each body, with V its velocity relative to the air: that of the
@@ -56,10 +100,29 @@ def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
     Arguments:
         relative: velocity of the links' centres relative to the air, m/s.
         omega: angular velocity of the links, rad/s.
+        wind: as of `with_field`.
     """
-    load, bodies = _drag_of_links(arm, here, relative, omega), arm.point_masses
+    load, bodies = _drag_of_links(arm, here, relative, omega, wind), arm.point_masses
     if bodies is None or bodies.drag_area is None:
         return load
+    carriers, lever = _levers(arm, here)
+    velocity = relative[:, carriers] + cross(omega[:, carriers], lever)
+    if wind.bodies is not None:
+        velocity = velocity - wind.bodies
+    area = jnp.broadcast_to(bodies.drag_area, carriers.shape)
+    size = 0.5 * arm.air.density * area * safe_norm(velocity)
+    force = -scaled(size, velocity)
+    # Sums over the bodies of each link, of which it may carry several.
+    carried = np.eye(arm.count, dtype=force.dtype)[carriers]
+    couple = cross(lever, force) @ carried
+    total = couple if load.couple is None else load.couple + couple
+    return Load(load.force + force @ carried, total)
+
+
+def _levers(arm: Arm, here: Pose) -> tuple[np.ndarray, Float[Array, "3 body"]]:
+    """The links that carry bodies, from 0 on, and where these are from the links' centres, m."""
+    bodies = arm.point_masses
+    assert bodies is not None
     carriers = np.asarray(bodies.links) - 1
 
     def each(value: Array) -> Array:
@@ -72,17 +135,17 @@ def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
         lever = lever + scaled(each(bodies.left), here.left[:, carriers])
     if bodies.up is not None:
         lever = lever + scaled(each(bodies.up), here.up[:, carriers])
-    velocity = relative[:, carriers] + cross(omega[:, carriers], lever)
-    size = 0.5 * arm.air.density * each(bodies.drag_area) * safe_norm(velocity)
-    force = -scaled(size, velocity)
-    # Sums over the bodies of each link, of which it may carry several.
-    carried = np.eye(arm.count, dtype=force.dtype)[carriers]
-    couple = cross(lever, force) @ carried
-    total = couple if load.couple is None else load.couple + couple
-    return Load(load.force + force @ carried, total)
+    return carriers, lever
 
 
-def _drag_of_links(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
+def _gauss(points: int, dtype: Any) -> tuple[Array, Array]:
+    """Gauss points on [-1, 1]; half the weights, which then sum to 1."""
+    gauss, weight = np.polynomial.legendre.leggauss(points)
+    places, weights = (jnp.asarray(x, dtype)[:, None] for x in (gauss, weight / 2))
+    return places, weights
+
+
+def _drag_of_links(arm: Arm, here: Pose, relative: Rows, omega: Rows, wind: Flow) -> Load:
     air, links, axis = arm.air, arm.links, here.direction
     law = air.drag_law
     along = dot(axis, relative)
@@ -98,12 +161,10 @@ def _drag_of_links(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
     )
     if law.points == 0:
         return Load(scaled(links.length, law.force(stream)), None)
-    # Gauss points on [-1, 1]; half the weights, which then sum to 1.
-    gauss, weight = np.polynomial.legendre.leggauss(law.points)
-    places, weights = (jnp.asarray(x, relative.dtype)[:, None] for x in (gauss, weight / 2))
+    places, weights = _gauss(law.points, relative.dtype)
     # The velocity across the link is linear along it.
     lean = scaled(links.length / 2, cross(omega, axis))
-    stream = stream.at_places(places[None] * lean[:, None])
+    stream = stream.at_places(places[None] * lean[:, None], wind.places)
     pieces = scaled(weights * links.length[None], law.force(stream))
     moment = (places[None] * pieces).sum(axis=1)
     return Load(pieces.sum(axis=1), cross(scaled(links.length / 2, axis), moment))
@@ -123,7 +184,7 @@ def across_link(direction: Rows, vector: Rows) -> Rows:
 
 
 def drag_force(
-    arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None = None
+    arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None = None, time: Any = 0.0
 ) -> Float[Array, "link 3"]:
     """Drag force of the air on each link, N.
 
@@ -134,19 +195,21 @@ def drag_force(
     Arguments:
         angles, rates: of the joints, rad and rad/s.
         wind: of the air in the base frame, m/s; still air by default.
+        time: s, of a wind field.
     """
-    return drag_in_motion(arm, angles, rates, wind)[0].force.T
+    return drag_in_motion(arm, angles, rates, wind, time)[0].force.T
 
 
 def drag_in_motion(
-    arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None
+    arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None, time: Any
 ) -> tuple[Load, Rows, Rows]:
     """Drag in one state of motion, with the velocities of the links' centres and turns."""
     here = pose(arm, angles)
+    blown = with_field(arm, here, flow(arm, wind, time=time))
     omega = angular_velocities(here, rates)
     velocity = centre_velocities(arm, here, omega)
-    relative = relative_velocity(arm, velocity, flow(arm, wind))
-    return drag(arm, here, relative, omega), velocity, omega
+    relative = relative_velocity(arm, velocity, blown)
+    return drag(arm, here, relative, omega, blown), velocity, omega
 
 
 # Added mass: the air that a link must move out of its way (Kirchhoff).

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Float, Scalar
+from ...runtime.arrays import Array, Float, Scalar, rotate, rotation_vector_to_quaternion
 from ...runtime.plugins import law_named, name_of, registered
 from ...runtime.text import InputError
 from ...schema import AIR, BASE, BUOYANCY, LINKS, POINT_MASSES
@@ -28,6 +28,7 @@ from ._joint_laws import AbstractJointLaw, JointLaws, Spring
 from ._joint_trial import check_joint_law
 from ._parts import DRAGS, Air, Buoyancy, Contact, Joints, Links, PointMasses, named_axes
 from ._pneumatics import Pneumatics, muscles_in, without_idle_springs
+from ._wind import AbstractWind, as_wind, check_wind
 
 # Frame: x along the straight arm away from the base, z up, y to the left; the origin is joint 1.
 # Joint i precedes link i. Angles are in radians and everything is SI.
@@ -276,6 +277,7 @@ def chain(
     drag_curve: str = "constant",
     added_mass: str = "kirchhoff",
     joint_laws: Sequence[str | AbstractJointLaw] = (),
+    wind_field: str | AbstractWind | Callable[..., Any] | None = None,
     buoyancy: bool = False,
     trim: bool = False,
     point_masses: PointMasses | None = None,
@@ -299,6 +301,8 @@ def chain(
         strip_points, drag_curve, added_mass: as of `Air`.
         joint_laws: laws of the joints beside springs, dampers and hysteresis, or their names:
             "hardening", "end_stops", or that of a registered one.
+        wind_field: a wind that is a function of place and time (`with_wind`), or the name of a
+            registered one; none by default.
         buoyancy: whether displaced air, helium and trim weights count; without gravity only
             their masses do.
         trim: hang the trim weights that make each link float, and float level unless
@@ -390,6 +394,8 @@ def chain(
         raise InputError(
             "trim computes buoyancy.trim_mass, which is among the parameters, too: leave one out"
         )
+    if wind_field is not None:
+        arm = with_wind(arm, wind_field)
     arm = _with_parameters(arm, values)
     if law is not None:
         if arm.air.axial_coefficient is not None or values.get("air.drag_coefficient", 0.0):
@@ -405,6 +411,31 @@ def chain(
     if pneumatics is not None:
         arm = dataclasses.replace(arm, joints=without_idle_springs(arm.joints, pneumatics))
     return trimmed(arm, level="buoyancy.trim_position" not in values) if trim else arm
+
+
+def with_wind(arm: Arm, wind: str | AbstractWind | Callable[..., Any]) -> Arm:
+    """The arm in a wind that is a function of place and time, in place of one that it has.
+
+    It is beside the wind of a run, and `air.wind`.
+
+    Arguments:
+        wind: of positions in the base frame, m, shape (..., 3), and a time, s, the velocity of the
+            air there, m/s, of the same shape: a plain function, an instance of a class of
+            `AbstractWind`, or the name of a registered one.
+
+    Raises:
+        InputError: as of `check_wind`, at the links of the straight arm; or nothing has that name.
+    """
+    field: Any = wind
+    if isinstance(wind, str) and (field := law_named(AbstractWind.registered_as, wind)) is None:
+        raise InputError(f"there is no wind {wind!r}: register it, or correct the name")
+    field = as_wind(field)
+    # From the first joint to the tip, in the direction of the straight arm.
+    ends = jnp.concatenate([jnp.zeros_like(arm.links.length[:1]), jnp.cumsum(arm.links.length)])
+    turn = rotation_vector_to_quaternion(arm.base_rotation)
+    straight = jnp.zeros((3, arm.count + 1), ends.dtype).at[0].set(ends)
+    check_wind(field, rotate(turn[:, None], straight).T)
+    return dataclasses.replace(arm, air=dataclasses.replace(arm.air, wind_field=field))
 
 
 def _laws_of(laws: Sequence[str | AbstractJointLaw]) -> dict[str, AbstractJointLaw]:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Float, Scalar, safe_norm, scaled
+from ...runtime.arrays import Array, Float, Scalar, dot, safe_norm, scaled
 from ...runtime.text import InputError
 from ...schema.parameters import is_concrete
 
@@ -62,7 +62,7 @@ class Stream(NamedTuple):
 
     velocity: Float[Array, "3 *place link"]
     across: Float[Array, "3 *place link"]
-    along: Float[Array, "*one link"]
+    along: Float[Array, "*place link"]
     axis: Float[Array, "3 *one link"]
     diameter: Float[Array, "*one link"]
     fullness: Float[Array, "*one link"]
@@ -73,13 +73,22 @@ class Stream(NamedTuple):
         """The Reynolds number |V| d / nu of a speed, m/s."""
         return speed * self.diameter / self.viscosity
 
-    def at_places(self, moved: Float[Array, "3 place link"]) -> "Stream":
-        """That of a place, at several, which move with other velocities across the link, m/s."""
+    def at_places(
+        self, moved: Float[Array, "3 place link"], wind: Float[Array, "3 place link"] | None = None
+    ) -> "Stream":
+        """That of a place, at several, which move with other velocities across the link, m/s.
+
+        There `wind` is how much faster the air is.
+        """
         wide = {
             name: getattr(self, name)[..., None, :]
             for name in ("along", "axis", "diameter", "fullness")
         }
         velocity, across = self.velocity[:, None] + moved, self.across[:, None] + moved
+        if wind is not None:
+            slip = dot(wide["axis"], wind)
+            wide["along"] = wide["along"] - slip
+            velocity, across = velocity - wind, across - (wind - scaled(slip, wide["axis"]))
         return self._replace(velocity=velocity, across=across, **wide)
 
 

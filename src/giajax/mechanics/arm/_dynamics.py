@@ -44,6 +44,7 @@ def acceleration(
     memory: States | None = None,
     pressures: Float[Array, "2 joint"] | None = None,
     skin: Float[Array, "3 link"] | None = None,
+    time: Any = 0.0,
 ) -> PerJoint:
     """Joint accelerations of the arm under its commands, rad/s^2: its equation of motion.
 
@@ -53,13 +54,14 @@ def acceleration(
         torque: of the joints' drives, beside springs and dampers, N m; none by default.
         memory, pressures: as of `joint_torque`.
         skin: stretch of the links' skin along obstacles (`Contact`), m; none by default.
+        time: s, of a wind field (`Air.wind_field`).
     """
     total = joint_torque(arm, angles, rates, command, memory, pressures)
     if torque is not None:
         total = total + torque
     if arm.contact is not None:
         total = total + touch(arm, angles, rates, skin).torque
-    return forward_dynamics(arm, angles, rates, total, wind, wind_rate)
+    return forward_dynamics(arm, angles, rates, total, wind, wind_rate, time)
 
 
 def joint_torque(
@@ -98,14 +100,16 @@ def forward_dynamics(
     torques: PerJoint,
     wind: Wind | None = None,
     wind_rate: Wind | None = None,
+    time: Any = 0.0,
 ) -> PerJoint:
     """Joint accelerations under joint torques (N m), gravity and drag, rad/s^2.
 
     Arguments:
         angles, rates: of the joints, rad and rad/s.
         wind, wind_rate: of the air in the base frame, m/s and m/s^2; still air by default.
+        time: s, of a wind field.
     """
-    return _accelerations(arm, angles, rates, torques, flow(arm, wind, wind_rate))
+    return _accelerations(arm, angles, rates, torques, flow(arm, wind, wind_rate, time))
 
 
 @eqx.filter_custom_jvp
@@ -162,7 +166,7 @@ def potential_energy(
 
     In a steady wind u added mass adds -1/2 u . M_a(q) u, which turns a link across the wind
     (the Munk moment): with it the sum of kinetic and potential energy changes by the powers of
-    drag and of the joints alone.
+    drag and of the joints alone. That of a wind field is left out, which is no potential.
 
     Arguments:
         angles, command: of the joints, rad.
@@ -185,12 +189,14 @@ def potential_energy(
     return energy
 
 
-def drag_power(arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None = None) -> Scalar:
+def drag_power(
+    arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None = None, time: Any = 0.0
+) -> Scalar:
     """Power that the air's drag delivers to the links, W; negative in still air.
 
     Arguments: as of `drag_force`.
     """
-    (force, couple), velocity, omega = drag_in_motion(arm, angles, rates, wind)
+    (force, couple), velocity, omega = drag_in_motion(arm, angles, rates, wind, time)
     power = dot(force, velocity)
     if couple is not None:
         power = power + dot(couple, omega)

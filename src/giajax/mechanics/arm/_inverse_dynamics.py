@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +18,17 @@ from ...runtime.arrays import (
     solve_lower,
     solve_upper,
 )
-from ._air import Flow, Wind, added_mass, added_mass_load, drag, flow, lift_force, relative_velocity
+from ._air import (
+    Flow,
+    Wind,
+    added_mass,
+    added_mass_load,
+    drag,
+    flow,
+    lift_force,
+    relative_velocity,
+    with_field,
+)
 from ._arm import Arm, Bodies, bodies
 from ._joint_laws import PerJoint
 from ._kinematics import (
@@ -260,6 +270,7 @@ def inverse_dynamics(
     accelerations: PerJoint,
     wind: Wind | None = None,
     wind_rate: Wind | None = None,
+    time: Any = 0.0,
 ) -> PerJoint:
     """Joint torques that produce accelerations against inertia, gravity and drag, N m.
 
@@ -269,8 +280,10 @@ def inverse_dynamics(
     Arguments:
         angles, rates, accelerations: of the joints, rad, rad/s and rad/s^2.
         wind, wind_rate: of the air in the base frame, m/s and m/s^2; still air by default.
+        time: s, of a wind field.
     """
-    return required_torque(arm, pose(arm, angles), rates, accelerations, flow(arm, wind, wind_rate))
+    air = flow(arm, wind, wind_rate, time)
+    return required_torque(arm, pose(arm, angles), rates, accelerations, air)
 
 
 def required_torque(
@@ -320,8 +333,9 @@ def carried_load(
     inertial = scaled(body.mass, mass_acceleration + upwards)
     spin = inertia_times(body, here, alpha) + gyroscopic(body, here, omega, leaning)
 
+    wind = with_field(arm, here, wind)
     relative = relative_velocity(arm, centre_velocity, wind)
-    load = drag(arm, here, relative, omega)
+    load = drag(arm, here, relative, omega, wind)
     force = load.force
     if load.couple is not None:
         spin = spin - load.couple

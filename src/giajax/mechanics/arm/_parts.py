@@ -20,6 +20,7 @@ from ._joint_laws import (
     JointLaws,
     PerJoint,
 )
+from ._wind import AbstractWind
 
 Axis = tuple[float, float, float]
 
@@ -95,6 +96,8 @@ class Air(eqx.Module):
       energy is not conserved then. It is here to compare with those.
     - `wind`: a constant wind, beside that of the run.
     - `law`: a law of drag of your own in place of all that, whose parameters are `air.law.NAME`.
+    - `wind_field`: a wind that is a function of place and time, beside both, whose parameters are
+      `air.wind_field.NAME`.
     """
 
     density: Scalar = parameter(AIR.density)
@@ -108,6 +111,7 @@ class Air(eqx.Module):
     drag_curve: str = eqx.field(static=True, default="constant")
     added_mass: str = eqx.field(static=True, default="kirchhoff")
     law: AbstractDragLaw | None = None
+    wind_field: AbstractWind | None = None
 
     def __check_init__(self) -> None:
         choices = {"drag": DRAGS, "drag_curve": DRAG_CURVES, "added_mass": ADDED_MASSES}
