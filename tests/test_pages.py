@@ -35,7 +35,7 @@ def test_the_units_of_the_data_contract_are_those_of_columns():
     """As columns of a channel that takes any quantity; time and ratio are told by other tests."""
     rows = re.findall(r"^\| ([a-z ]+) \| ((?:`\w+`(?:, )?)+) \|$", page("data_contract.md"), re.M)
     quantities = {quantity: re.findall(r"`(\w+)`", units) for quantity, units in rows}
-    assert len(quantities) == 9
+    assert len(quantities) == 10
     for quantity, units in quantities.items():
         for unit in units:
             column = f"time_{unit}" if quantity == "time" else f"output_{unit}"

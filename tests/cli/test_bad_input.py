@@ -126,7 +126,7 @@ def test_bad_recordings(tmp_path, capsys, case):
     for part in parts:
         assert part in line
     # Long enough to say what, what it must be and what to do; short enough to be read.
-    assert len(line.replace(str(tmp_path), "")) < 400
+    assert len(line.replace(str(tmp_path), "")) < 420
     assert {item.name: item.read_bytes() for item in tmp_path.iterdir()} == before
 
 

@@ -11,7 +11,16 @@ from jax.test_util import check_grads
 
 import giajax
 from giajax import InputError
-from giajax.models import AbstractSensor, Accelerometer, Gyroscope, Inclinometer, Marker, Sensors
+from giajax.models import (
+    AbstractSensor,
+    Accelerometer,
+    CurvatureSensor,
+    Gyroscope,
+    Inclinometer,
+    Marker,
+    Sensors,
+    TensionSensor,
+)
 from giajax.runtime.plugins import sources_of
 from giajax.schema import KINDS, ChannelKind, add_kind
 from giajax.schema.parameters import parameter
@@ -119,10 +128,72 @@ def test_accelerations_and_torques_are_those_of_a_simulated_motion():
         _ = forgetful.accelerations
 
 
+def test_the_tension_of_what_hangs_is_the_weight_below_it():
+    motion = moving(giajax.pendulum(3, mass=[1.0, 2.0, 3.0]), [0.0, 0.0, 0.0])
+    shown = TensionSensor(offset=0.5).values(motion)
+    assert np.allclose(shown, [GRAVITY * np.array([6.0, 5.0, 3.0]) + 0.5], rtol=1e-12)
+    # What floats pulls upwards, and what stands is pressed together.
+    standing = giajax.chain(
+        2, gravity=GRAVITY, buoyancy=True, base_rotation=(0.0, -np.pi / 2, 0.0), mass=[0.02, 0.2]
+    )
+    excess = GRAVITY * np.asarray(giajax.mechanics.arm.net_lift(standing))
+    shown = TensionSensor().values(moving(standing, [0.0, 0.0]))
+    assert np.allclose(shown, [[excess.sum(), excess[1]]], rtol=1e-12)
+    assert shown[0, 1] < 0
+
+
+def test_the_tension_of_a_pendulum_that_swings_is_its_closed_form():
+    """m (g cos q + l omega^2), q being the angle and l the distance of the centre of mass."""
+    arm = giajax.pendulum(1, length=2.0, mass=1.5)
+    shown = TensionSensor().values(moving(arm, [0.7], [3.0]))
+    assert np.allclose(shown, 1.5 * (GRAVITY * np.cos(0.7) + 1.0 * 3.0**2), rtol=1e-12)
+
+
+def test_the_force_of_a_joint_is_that_of_newton_on_what_is_beyond_it():
+    """From second differences of the centres of mass, drag, lift, and what obstacles press."""
+    ground = giajax.mechanics.obstacles.Plane(centre=[0.0, 0.0, -0.1])
+    arm = giajax.chain(
+        3,
+        gravity=GRAVITY,
+        buoyancy=True,
+        mass=0.3,
+        drag="strip",
+        contact=giajax.mechanics.arm.Contact(obstacles=(ground,)),
+    )
+    rng = np.random.default_rng(2)
+    wind, step = jnp.asarray([1.0, -2.0, 0.5]), 1e-4
+    motion = moving(arm, 0.2 * rng.normal(size=3), rng.normal(size=3), wind=constant(wind))
+    angles, rates, speeds_up = motion.angles[0], motion.rates[0], motion.accelerations[0]
+
+    def centres(time):
+        at = angles + time * rates + time**2 / 2 * speeds_up
+        return np.asarray(giajax.mechanics.arm.pose(arm, at).mass_centre.T)
+
+    second = (centres(step) - 2 * centres(0.0) + centres(-step)) / step**2
+    body = giajax.mechanics.arm.bodies(arm)
+    second[:, 2] += GRAVITY
+    needed = np.asarray(body.mass)[:, None] * second
+    needed -= np.asarray(giajax.mechanics.arm.drag_force(arm, angles, rates, wind))
+    needed[:, 2] -= giajax.mechanics.arm.lift(arm)
+    pressed = np.asarray(giajax.simulation.contacts(motion).force[0, :, 0])
+    assert pressed[:, 2].max() > 1
+    needed -= pressed
+    expected = np.cumsum(needed[::-1], axis=0)[::-1]
+    assert np.allclose(motion.forces[0], expected, rtol=1e-5, atol=1e-5)
+
+
+def test_the_curvature_is_the_angle_over_the_mean_length_of_the_links():
+    motion = moving(giajax.chain(3, length=[1.0, 2.0, 4.0]), [0.3, -0.3, 0.6])
+    shown = CurvatureSensor(offset=[0.0, 0.0, 0.1]).values(motion)
+    assert np.allclose(shown, [[0.3, -0.2, 0.3]], rtol=1e-12)
+
+
 SHIPPED = {
     "gyroscope": Gyroscope(*[0.1] * 3),
     "accelerometer": Accelerometer(*[0.1] * 6),
     "inclinometer": Inclinometer(0.1),
+    "tension": TensionSensor(0.1),
+    "curvature": CurvatureSensor(0.1),
 }
 
 
@@ -167,6 +238,30 @@ def test_a_run_of_an_imu_is_read_fitted_and_stored(tmp_path):
     (tmp_path / "result.json").write_text(result.to_json())
     stored = giajax.load_result(tmp_path / "result.json")
     assert np.allclose(stored.predict(run)[names[0]], result.predict(run)[names[0]])
+
+
+def test_tension_and_curvature_are_columns(tmp_path):
+    names = ("joint01_command", "joint01_tension", "joint01_curvature")
+    values = dict(zip(names, ([0.0, 0.1], [0.5, 0.5], [0.0, 0.1]), strict=True))
+    facts = {
+        "arm": {"links": 1},
+        "sensors": {"own": {"tension": {"offset": 0.25}}},
+        "noise": {"joint01_tension_mN": 5.0},
+    }
+    units = {"joint01_tension": "mN"}
+    path = tmp_path / "run.csv"
+    giajax.write_run(path, [0.0, 1.0], values, units=units, definition=facts)
+    header = "joint01_command_deg,joint01_tension_mN,joint01_curvature_per_m"
+    assert header in path.read_text()
+    run = giajax.read_run(path)
+    assert run.values["joint01_tension"][0] == pytest.approx(0.5)
+    assert run.noise("joint01_tension") == pytest.approx(0.005)
+    model = giajax.model_for([run])
+    motion = model.trajectory(model.prepare(run))
+    shown = giajax.predict(model, run)
+    pull = TensionSensor(0.25).values(motion)[:, 0]
+    assert np.allclose(shown["joint01_tension"], pull, rtol=1e-9)
+    assert np.allclose(shown["joint01_curvature"], motion.angles[:, 0] / 0.99)
 
 
 @pytest.fixture

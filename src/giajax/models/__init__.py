@@ -33,8 +33,10 @@ from ._hysteresis import (
 )
 from ._inertial import (
     Accelerometer as Accelerometer,
+    CurvatureSensor as CurvatureSensor,
     Gyroscope as Gyroscope,
     Inclinometer as Inclinometer,
+    TensionSensor as TensionSensor,
 )
 from ._joint import (
     JointInputs as JointInputs,

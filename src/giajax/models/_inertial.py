@@ -1,4 +1,4 @@
-"""What an IMU and an inclinometer on a link show: rates, specific force and inclination."""
+"""What sensors on links and joints show: IMUs, inclinometers, tension and curvature."""
 
 import functools
 from typing import ClassVar
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from ..mechanics.arm import Pose, angular_velocities, pose
 from ..runtime.arrays import Array, Float, dot, safe_norm
 from ..runtime.plugins import register
-from ..schema import IMU_FORCE, IMU_RATE, INCLINATION
+from ..schema import CURVATURE, IMU_FORCE, IMU_RATE, INCLINATION, TENSION
 from ..schema.parameters import parameter
 from ..simulation import Trajectory
 from ._arm_sensors import AbstractSensor, Marker, per_row
@@ -17,7 +17,7 @@ from ._arm_sensors import AbstractSensor, Marker, per_row
 PerLink = Float[Array, ""] | Float[Array, " link"] | None
 
 
-# A parameter of the sensors of all links, or of each, that is left out by default.
+# A parameter of the sensors of all links or joints, or of each, that is left out by default.
 _each = functools.partial(parameter, 0.0, optional=True, per="link", each=True)
 
 
@@ -110,4 +110,44 @@ class Inclinometer(AbstractSensor):
             return jnp.arctan2(along[2], safe_norm(along.at[2].set(0)))
 
         shown = jax.vmap(at)(motion.angles)
+        return shown if self.offset is None else shown + per_row(self.offset, shown)
+
+
+@register
+class TensionSensor(AbstractSensor):
+    """Force along its link that each joint passes on (`jointNN_tension`), N: positive in a pull."""
+
+    kind: ClassVar[str] = "tension"
+    channel = TENSION
+
+    offset: PerLink = _each(unit="N", doc="what it shows of a joint without a force", per="joint")
+
+    def values(self, motion: Trajectory) -> Float[Array, "sample joint"]:
+        """What pulls the links beyond a joint back along the first of them."""
+
+        def at(angles: Array, forces: Array) -> Array:
+            return -dot(pose(motion.arm, angles).direction, forces.T)
+
+        shown = jax.vmap(at)(motion.angles, motion.forces)
+        return shown if self.offset is None else shown + per_row(self.offset, shown)
+
+
+@register
+class CurvatureSensor(AbstractSensor):
+    """Curvature of the arm's line at each joint (`jointNN_curvature`), 1/m.
+
+    It is the joint's angle over the mean length of the links that it joins; of the first joint,
+    over the length of its link.
+    """
+
+    kind: ClassVar[str] = "curvature"
+    channel = CURVATURE
+
+    offset: PerLink = _each(unit="1/m", doc="what it shows of a straight joint", per="joint")
+
+    def values(self, motion: Trajectory) -> Float[Array, "sample joint"]:
+        """Positive as the angle is."""
+        length = motion.arm.links.length
+        before = jnp.concatenate([length[:1], length[:-1]])
+        shown = motion.angles * (2 / (before + length))[None]
         return shown if self.offset is None else shown + per_row(self.offset, shown)

@@ -2,10 +2,12 @@
 
 from ._arm import (
     ARM as ARM,
+    CURVATURE as CURVATURE,
     DEFAULT_PRESET as DEFAULT_PRESET,
     IMU_FORCE as IMU_FORCE,
     IMU_RATE as IMU_RATE,
     INCLINATION as INCLINATION,
+    TENSION as TENSION,
     check_obstacles as check_obstacles,
 )
 from ._arm_sections import (

@@ -85,6 +85,8 @@ IMU_FORCE = ChannelKind(
 INCLINATION = ChannelKind(
     "link_inclination", "linkNN_inclination", "angle", "output", noise="angle_deg"
 )
+TENSION = ChannelKind("joint_tension", "jointNN_tension", "force", "output")
+CURVATURE = ChannelKind("joint_curvature", "jointNN_curvature", "curvature", "output")
 CHANNELS = (
     ChannelKind("joint_command", "jointNN_command", "angle", "input"),
     ChannelKind("joint_angle", "jointNN_angle", "angle", "output", noise="angle_deg"),
@@ -92,6 +94,8 @@ CHANNELS = (
     ChannelKind("joint_torque", "jointNN_torque", "torque", "input"),
     ChannelKind("joint_pressure_first", "jointNN_pressure_first", "pressure", "input"),
     ChannelKind("joint_pressure_second", "jointNN_pressure_second", "pressure", "input"),
+    TENSION,
+    CURVATURE,
     ChannelKind("link_angle", "linkNN_angle", "angle", "output", noise="angle_deg"),
     ChannelKind("link_position", "linkNN_x", "length", "output", noise="position_m"),
     ChannelKind("link_pixel", "linkNN_u", "pixel", "output", noise="pixel_px"),

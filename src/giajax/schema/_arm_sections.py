@@ -509,12 +509,14 @@ class ArmSection(_Surroundings):
 _Numbers = dict[Name, Finite | list[Finite]]
 
 
+_SENSORS = ("gyroscope", "accelerometer", "inclinometer", "tension", "curvature")
+
+
 def _known_sensor(word: str) -> str:
-    known = word in ("gyroscope", "accelerometer", "inclinometer")
-    if not known and registered("sensor", word) is None:
+    if word not in _SENSORS and registered("sensor", word) is None:
         raise ValueError(
-            f'{word!r} must be "gyroscope", "accelerometer", "inclinometer" or a registered '
-            "sensor: correct it, or give --plugin FILE.py"
+            f"{word!r} must be {', '.join(_SENSORS)} or a registered sensor: correct it, or give "
+            "--plugin FILE.py"
         )
     return word
 

@@ -38,6 +38,7 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("pixel", "px", {"px": "px"}),
         Quantity("velocity", "m/s", {"m_per_s": "m/s"}),
         Quantity("acceleration", "m/s^2", {"m_per_s2": "m/s^2"}),
+        Quantity("curvature", "1/m", {"per_m": "1/m"}),
         Quantity("force", "N", {"N": "N", "mN": "mN"}),
         Quantity("torque", "N m", {"N_m": "N m"}),
         Quantity("pressure", "Pa", {"kPa": "kPa", "MPa": "MPa", "bar": "bar"}),

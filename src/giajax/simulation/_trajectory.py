@@ -11,6 +11,7 @@ import numpy as np
 from ..mechanics.arm import (
     Arm,
     acceleration,
+    joint_forces,
     joint_torque,
     link_centres,
     tip_position,
@@ -121,6 +122,15 @@ class Trajectory(eqx.Module):
         """
         return self._of_motion("torques")
 
+    @property
+    def forces(self) -> Float[Array, "sample joint 3"]:
+        """Force that each joint passes on to the link beyond it, in the base frame, N.
+
+        Raises:
+            InputError: as of the accelerations.
+        """
+        return self._of_motion("forces")
+
     def _of_motion(self, what: str) -> Array:
         if self.memory is None and self.arm.joint_laws.rows:
             raise InputError(
@@ -163,7 +173,7 @@ def _over_samples(function: Callable[..., Any], arm: Arm, *rows: Any) -> Any:
 
 @program
 def _moved(motion: Trajectory, what: str) -> Array:
-    """Accelerations or torques of the joints at the samples."""
+    """Accelerations, torques or forces of the joints at the samples."""
 
     def at(time: Array, angles: Array, rates: Array, *states: Array | None) -> Array:
         command, (memory, pressures, skin) = motion.command(time), states
@@ -176,7 +186,10 @@ def _moved(motion: Trajectory, what: str) -> Array:
         if motion.torque is not None:
             torque = motion.torque(time)
         given = (command, wind, wind_rate, torque, memory, pressures, skin, time)
-        return acceleration(motion.arm, angles, rates, *given)
+        found = acceleration(motion.arm, angles, rates, *given)
+        if what == "accelerations":
+            return found
+        return joint_forces(motion.arm, angles, rates, found, wind, wind_rate, skin, time)
 
     states = (motion.memory, motion.pressures, motion.skin)
     return jax.vmap(at)(motion.times, motion.angles, motion.rates, *states)

@@ -41,6 +41,7 @@ from ._dynamics import (
     drag_power as drag_power,
     forward_dynamics as forward_dynamics,
     hysteresis_power as hysteresis_power,
+    joint_forces as joint_forces,
     joint_torque as joint_torque,
     kinetic_energy as kinetic_energy,
     muscle_power as muscle_power,

@@ -17,7 +17,7 @@ from ._air import (
     relative_velocity,
 )
 from ._arm import Arm, bodies
-from ._contact import touch
+from ._contact import touch, touched
 from ._inverse_dynamics import (
     Piece,
     carried_inertia,
@@ -145,6 +145,32 @@ def _eliminate_and_solve(
     motion, momentum = motion_and_momentum(arm, here, carried[6:])
     torque = torques - load_torque(here, carried[:6])
     return eliminate_and_solve(motion, momentum, arm.joints.armature, torque)
+
+
+def joint_forces(
+    arm: Arm,
+    angles: PerJoint,
+    rates: PerJoint,
+    accelerations: PerJoint,
+    wind: Wind | None = None,
+    wind_rate: Wind | None = None,
+    skin: Float[Array, "3 link"] | None = None,
+    time: Any = 0.0,
+) -> Float[Array, "joint 3"]:
+    """Force that each joint passes on to the link beyond it, in the base frame, N.
+
+    It is what all links beyond need to move so (Newton), less their weight and what buoyancy, the
+    air and obstacles do of it.
+
+    Arguments:
+        angles, rates, accelerations: of the joints, rad, rad/s and rad/s^2.
+        wind, wind_rate, skin, time: as of `acceleration`.
+    """
+    air = flow(arm, wind, wind_rate, time)
+    needed = carried_load(arm, pose(arm, angles), rates, accelerations, air)[:3]
+    if arm.contact is not None:
+        needed = needed - touched(arm, angles, rates, skin)[1].sum(axis=1).T
+    return sum_from_tip(needed).T
 
 
 def kinetic_energy(arm: Arm, angles: PerJoint, rates: PerJoint) -> Scalar:
