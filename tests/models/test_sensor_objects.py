@@ -298,8 +298,13 @@ def test_a_sensor_with_a_delay_shows_what_was_so_much_earlier():
         "joint01_command": np.sin(times),
         "joint01_late": np.zeros(41),
         "joint01_angle": np.zeros(41),
+        # A camera may be called as a row is, and has its own clock.
+        "late_angle.tip_u": np.zeros(41),
     }
-    run = giajax.Run.from_arrays(times, values, definition={"arm": {"links": 1}})
+    lens = {"size_px": [640, 480], "focal_length_px": 500.0, "mount": "room"}
+    lens |= {"position_m": [0.5, -5.0, 0.0], "rotation_deg": [-90.0, 0.0, 0.0]}
+    facts = {"arm": {"links": 1}, "camera": {"late_angle": lens}}
+    run = giajax.Run.from_arrays(times, values, definition=facts)
     model = giajax.model_for([run])
     assert "test_sensor_objects.py" in sources_of(model)
     shown = giajax.predict(model, run)

@@ -276,6 +276,24 @@ class Sensors(eqx.Module):
             return None
         return self.sensor[name] if name in self.sensor else sensor_named(name)
 
+    def rows(self, kinds: Iterable[str]) -> dict[str, tuple[Callable[[Trajectory], Array], Any]]:
+        """What makes the columns of these rows of a motion, and by whose clock; not of pixels."""
+
+        def seen(points: Callable[[Arm, Array], Array]) -> Callable[[Trajectory], Array]:
+            return lambda of: self.camera.sees(jax.vmap(lambda at: points(of.arm, at))(of.angles))
+
+        angles, rates = self.encoder.shows, self.encoder.shows_rates
+        known: dict[str, tuple[Callable[[Trajectory], Array], Any]] = {
+            "link_position": (seen(self.marker.on_links), self.camera),
+            "tip_position": (seen(self.marker.at_tip), self.camera),
+            "joint_angle": (lambda motion: angles(motion.angles), self.encoder),
+            "joint_rate": (lambda motion: rates(motion.rates), self.encoder),
+            "link_angle": (lambda motion: jnp.cumsum(angles(motion.angles), axis=1), self.encoder),
+        }
+        own = {kind: self.of_row(kind) for kind in sorted(kinds)}
+        known |= {kind: (of.values, of) for kind, of in own.items() if of is not None}
+        return {kind: known[kind] for kind in own if kind in known}
+
     def without_clocks(self) -> "Sensors":
         """The same camera, markers and angle sensors, none of which is late."""
         lenses = self.camera.pinholes.items()
@@ -494,15 +512,6 @@ def seen_with_delays(
     return seen, moved.successful
 
 
-# What the camera records, and what the angle sensors do.
-_POSITIONS = frozenset({"link_position", "tip_position"})
-_ANGLES = frozenset({"joint_angle", "joint_rate", "link_angle"})
-
-# The clocks beside those of the cameras with a lens, whose names have no space.
-_FRAME = "camera frame"
-_ENCODER = "angle sensors"
-
-
 def recorded_channels(
     arm: Arm, sensors: Sensors, motion: Motion, times: Times, channels: tuple[str, ...]
 ) -> Prediction:
@@ -518,33 +527,19 @@ def recorded_channels(
         if channel.quantity == "pixel"
     }
     seen, successful = _seen(sensors, motion, times, kinds, tuple(dict.fromkeys(shown.values())))
-    tables: dict[str, Array] = {}
-    if kinds & {"joint_angle", "link_angle"}:
-        tables["joint_angle"] = sensors.encoder.shows(seen[_ENCODER].angles)
-        tables["link_angle"] = jnp.cumsum(tables["joint_angle"], axis=1)
-    if "joint_rate" in kinds:
-        tables["joint_rate"] = sensors.encoder.shows_rates(seen[_ENCODER].rates)
-    # Positions of all links are computed only where a channel asks for one.
-    if "link_position" in kinds:
-        points = jax.vmap(lambda row: sensors.marker.on_links(arm, row))(seen[_FRAME].angles)
-        tables["link_position"] = sensors.camera.sees(points)
-    if "tip_position" in kinds:
-        points = jax.vmap(lambda row: sensors.marker.at_tip(arm, row))(seen[_FRAME].angles)
-        tables["tip_position"] = sensors.camera.sees(points)[:, None]
-    for kind in sorted(kinds):
-        if (sensor := sensors.of_row(kind)) is not None:
-            rows = sensor.values(seen[kind])
-            tables[kind] = rows if "NN" in sensor.channel.column else rows[:, None]
+    # All columns of a row at once, and none of a row that no channel asks for.
+    tables = {kind: values(seen[kind]) for kind, (values, _) in sensors.rows(kinds).items()}
     pictures = {}
     for name in dict.fromkeys(shown.values()):
         of = [channel for channel in known if shown.get(channel.name) == name]
-        pictures[name] = projections(arm, sensors, name, seen[name].angles, of)
+        pictures[name] = projections(arm, sensors, name, seen[f"camera.{name}"].angles, of)
     predicted = {}
     for channel in known:
         if channel.name in shown:
             column = pictures[shown[channel.name]][channel.kind, channel.index or 0].pixels
         else:
-            column = tables[channel.kind][:, (channel.index or 1) - 1]
+            table = tables[channel.kind]
+            column = table if channel.index is None else table[:, channel.index - 1]
         predicted[channel.name] = (
             column if channel.component is None else column[:, channel.component]
         )
@@ -556,21 +551,18 @@ def seen_by_cameras(
 ) -> tuple[dict[str, Float[Array, "sample joint"]], Bool[Array, ""]]:
     """Joint angles (rad) at the samples of each camera's clock, and whether there is a motion."""
     seen, successful = _seen(sensors, motion, times, set(), cameras)
-    return {name: seen[name].angles for name in cameras}, successful
+    return {name: seen[f"camera.{name}"].angles for name in cameras}, successful
 
 
 def _seen(
     sensors: Sensors, motion: Motion, times: Times, kinds: set[str], cameras: tuple[str, ...]
 ) -> tuple[dict[str, Trajectory], Bool[Array, ""]]:
     """What each sensor sees, by name; a clock that no channel needs costs nothing."""
-    clocks: dict[str, Scalar | None] = {}
-    if kinds & _POSITIONS:
-        clocks[_FRAME] = sensors.camera.delay
-    if kinds & _ANGLES:
-        clocks[_ENCODER] = sensors.encoder.delay
-    clocks |= {name: clock_of(sensors, name) for name in cameras}
-    for kind in sorted(kinds & _SENSORS.keys()):
-        clocks[kind] = getattr(sensors.of_row(kind), "delay", None)
+    clocks: dict[str, Scalar | None] = {
+        kind: getattr(shows, "delay", None) for kind, (_, shows) in sensors.rows(kinds).items()
+    }
+    # A camera may be called as a row is.
+    clocks |= {f"camera.{name}": clock_of(sensors, name) for name in cameras}
     # Sensors that share a clock see the same.
     delays = list({id(delay): delay for delay in clocks.values()}.values())
     if all(delay is None for delay in delays):
