@@ -131,10 +131,25 @@ def arguments_of(what, fitted):
 
 
 @pytest.mark.parametrize("what", TASKS)
-def test_keys_of_every_study_are_those_of_then(what, fitted):
+def test_keys_of_every_study_are_those_of_then(what, fitted, monkeypatch):
     (identity, seed), key, own_seed = TASKS[what]
+    # As if the model were giajax's: the file of one's own counts in a start, as it is today.
+    monkeypatch.setattr("giajax.runtime.plugins.source", lambda module: None)
     task = Task(place_of(identity), arguments_of(what, fitted), seed=seed)
     assert (task.key, task.own_seed) == (key, own_seed)
+
+
+def test_a_start_of_a_model_of_a_user_is_another_one_where_its_module_was_edited(monkeypatch):
+    keys = set()
+    for digest in ("one", "two"):
+        there = {"toy_model": ("toy_model.py", f"sha256 {digest}")}
+        monkeypatch.setattr("giajax.runtime.plugins.source", there.get)
+        asked = arguments_of("start", None)["asked"]
+        keys |= {
+            asked.task_key,
+            Task(place_of("study/_start_task:one_start"), {"asked": asked}).key,
+        }
+    assert len(keys) == 4
 
 
 def test_a_model_of_a_user_counts_by_its_full_name():

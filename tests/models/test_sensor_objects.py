@@ -21,6 +21,7 @@ from giajax.models import (
     Sensors,
     TensionSensor,
 )
+from giajax.recordings import parse_column
 from giajax.runtime.plugins import sources_of
 from giajax.schema import KINDS, ChannelKind, add_kind
 from giajax.schema.parameters import parameter
@@ -341,6 +342,20 @@ def test_a_cell_that_is_run_again_is_another_sensor_by_default():
         run = giajax.Run.from_arrays([0.0, 0.1], values, definition={"arm": {"links": 1}})
         shown += giajax.predict(giajax.ArmModel(arm), run)["gauge01"].tolist()
     assert shown == [1.0, 1.0, 2.0, 2.0]
+
+
+@pytest.mark.quick
+@pytest.mark.usefixtures("own_rows")
+def test_a_cell_that_is_run_again_with_another_row_takes_its_former_one_away():
+    before = KINDS["arm"].channels
+    for row in ("once", "twice"):
+        giajax.register(gauge("Renamed", (row, f"{row}NN", "ratio", "output")))
+        assert [each.name for each in KINDS["arm"].channels[len(before) :]] == [row]
+    with pytest.raises(InputError, match="'once01' is not in the column table"):
+        parse_column("once01")
+    # Another sensor may have the former row now.
+    giajax.register(gauge("Other", ("once", "onceNN", "ratio", "output")))
+    assert Sensors().with_rows(["once"]).sensor.keys() == {"Other"}
 
 
 @pytest.mark.quick

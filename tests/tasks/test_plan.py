@@ -192,16 +192,21 @@ def test_fits_by_an_edited_loss_that_a_module_registers_are_others(folder, monke
     assert {loss: len(known) for loss, known in keys.items()} == {"huber": 1, "PlannedLoss": 2}
 
 
-def test_fits_of_a_model_that_only_columns_name_are_others_where_its_module_is(
-    tmp_path, monkeypatch
-):
-    (tmp_path / "kite.csv").write_text("time_s,cord_m\n0,1\n1,2\n")
+@pytest.mark.parametrize("what", ["model", "sensor"])
+def test_fits_of_what_only_columns_name_are_others_where_its_module_is(tmp_path, monkeypatch, what):
+    (tmp_path / "kite.csv").write_text("time_s,joint01_angle_deg,cord_m\n0,0,1\n1,0,2\n")
     (tmp_path / "plan.toml").write_text('data = ["kite.csv"]\n')
     kinds, keys = dict(KINDS), set()
-    rows = (ChannelKind("cord", "cord", "length", "output"),)
-    methods = dict.fromkeys(("prepare", "predict", "definition"), lambda self: None)
-    body = {"__module__": "kites", "kind": "planned", "channels": rows, **methods}
-    giajax.register(type("Kite", (giajax.AbstractModel,), body))
+    row = ChannelKind("cord", "cord", "length", "output")
+    body = {"__module__": "kites", "kind": f"planned_{what}"}
+    if what == "model":
+        methods = dict.fromkeys(("prepare", "predict", "definition"), lambda self: None)
+        (tmp_path / "kite.csv").write_text("time_s,cord_m\n0,1\n1,2\n")
+        parent, body = giajax.AbstractModel, {**body, "channels": (row,), **methods}
+    else:
+        shown = {"channel": row, "values": lambda self, motion: motion.times}
+        parent, body = giajax.models.AbstractSensor, {**body, **shown}
+    giajax.register(type("Kite", (parent,), body))
     for digest in ("one", "two"):
         there = {"kites": ("kites.py", f"sha256 {digest}")}
         monkeypatch.setattr("giajax.runtime.plugins.source", there.get)

@@ -22,7 +22,7 @@ from ..runtime.arrays import (
     rotation_vector_to_quaternion,
     scaled,
 )
-from ..runtime.plugins import made_by_default, name_of, registered
+from ..runtime.plugins import classes_of_others, made_by_default, name_of, registered
 from ..runtime.programs import program
 from ..runtime.text import InputError, one_of
 from ..schema import CAMERA, ENCODER, KINDS, LANDMARK, MARKER, ChannelKind, add_kind
@@ -159,14 +159,19 @@ class AbstractSensor(eqx.Module):
                 f"{name}.channel is {row!r}: make it the row of its columns, a "
                 'giajax.schema.ChannelKind whose part is "output", of no pixels'
             )
-        others = tuple(each for each in arm.channels if each.name != row.name)
+        # A cell of a notebook that is run again may have another row.
+        former = {each for each, owner in _SENSORS.items() if owner == name and each != row.name}
+        others = tuple(each for each in arm.channels if each.name not in {row.name, *former})
         owner = _SENSORS.get(row.name, "giajax")
-        if others != arm.channels and owner != name and not cls.__module__.startswith("giajax."):
+        there = row.name in {each.name for each in arm.channels}
+        if there and owner != name and not cls.__module__.startswith("giajax."):
             raise InputError(
                 f"the channel '{row.name}' of {name} is that of {owner}: give it another name"
             )
-        if row not in arm.channels:
+        if former or row not in arm.channels:
             add_kind(dataclasses.replace(arm, channels=(*others, row)))
+        for each in former:
+            del _SENSORS[each]
         _SENSORS[row.name] = name
 
     @abc.abstractmethod
@@ -196,8 +201,7 @@ def sensor_named(name: str) -> AbstractSensor:
 
 def own_sensors() -> tuple[type[AbstractSensor], ...]:
     """The registered classes that are not giajax's, on which a program depends by default."""
-    found = (registered(AbstractSensor.registered_as, name) for name in sorted(_SENSORS.values()))
-    return tuple(each for each in found if each and not each.__module__.startswith("giajax."))
+    return tuple(each for _, each in sorted(classes_of_others("sensor").items()))
 
 
 def check_sensor(sensor: AbstractSensor, arm: Arm) -> None:

@@ -80,6 +80,12 @@ def registered(role: str, name: str) -> Any | None:
     return found
 
 
+def classes_of_others(role: str) -> dict[str, Any]:
+    """The registered classes of a role that are not giajax's, by name."""
+    known = _CLASSES.get(role, {}).items()
+    return {name: cls for name, cls in known if not cls.__module__.startswith("giajax.")}
+
+
 def law_named(role: str, name: str) -> Any | None:
     """What the registered class of a role and a name is by default; None where there is none."""
     found = registered(role, name)

@@ -33,7 +33,7 @@ from ..recordings import FitSettings, Run
 from ..runtime.arrays import sobol_points
 from ..runtime.execution import prepared, run_tasks
 from ..runtime.parallel import Tell, directly, run_in_threads
-from ..runtime.plugins import sources_named
+from ..runtime.plugins import sources_named, sources_of
 from ..runtime.programs import content
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
@@ -191,7 +191,7 @@ class Asked:
         words = json.dumps([self.config, self.own, self.suited], sort_keys=True)
         data = content([self.model, [fingerprint(run) for run in self.runs]])
         said = [self.config[key] for key in ("loss", "solver", "definition")]
-        others = sources_named(str(said)).items()
+        others = (sources_named(str(said)) | sources_of(self.model)).items()
         return hashlib.sha256((words + data + "".join(map(str, others))).encode()).hexdigest()
 
     def setup(self) -> Setup:

@@ -20,7 +20,7 @@ from ..recordings import (
 )
 from ..runtime.files import check_size, parse_toml, read_bytes, read_text
 from ..runtime.limits import RUN_BYTES, TEXT_BYTES
-from ..runtime.plugins import plugins, sources_named
+from ..runtime.plugins import classes_of_others, plugins, sources_named
 from ..runtime.tasks import Task
 from ..runtime.text import InputError, one_of, shown
 from ..schema import KINDS, flat
@@ -345,16 +345,19 @@ class Plan:
 
 
 def _said(path: Path, rename: tuple[tuple[str, str], ...]) -> str:
-    """The sidecar of a run, and the kind of one's own that its columns may be of."""
+    """The sidecar of a run, and the kind and sensors of one's own that its columns may be of."""
     sidecar = sidecar_path(path)
     text = read_bytes(sidecar, RUN_BYTES).decode(errors="replace") if sidecar.exists() else ""
     try:
         stated = read_sidecar(path).model  # which registers the model of a package
-        own = [kind for kind in KINDS.values() if not kind.model]
-        if own and stated is None:
+        own = [kind for kind in KINDS.values() if not kind.model and stated is None]
+        sensors = classes_of_others("sensor")
+        if own or sensors:
             table = read_table(path, dict(rename))
             rows = frozenset(channel.kind for channel in table.channels.values())
-            text = " ".join([text, *(kind.name for kind in own if kind.recognises(rows))])
+            found = [kind.name for kind in own if kind.recognises(rows)]
+            found += [name for name, each in sensors.items() if each.channel.name in rows]
+            text = " ".join([text, *found])
     except InputError:
         pass  # The fit says what is wrong.
     return text
