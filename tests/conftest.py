@@ -69,6 +69,22 @@ def compiled():
     return lambda: programs
 
 
+@pytest.fixture
+def own_kinds():
+    """Kinds that a test registers are gone after it."""
+    from giajax.recordings import Definition
+    from giajax.schema import KINDS, add_kind
+
+    before, fields = dict(KINDS), set(Definition.model_fields)
+    yield
+    KINDS.clear()
+    KINDS.update(before)
+    add_kind(KINDS["arm"])
+    for name in set(Definition.model_fields) - fields:
+        del Definition.model_fields[name]
+        Definition.model_rebuild(force=True)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item):
     """A test that says that it is quick compiles nothing, however fast the machine."""

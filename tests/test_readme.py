@@ -36,6 +36,7 @@ SHOWN = [
 ]
 
 
+@pytest.mark.usefixtures("own_kinds")
 @pytest.mark.parametrize("name", SHOWN)
 def test_the_python_of_a_page_runs(name, monkeypatch):
     """From top to bottom: a block knows what those before it have made."""

@@ -8,7 +8,7 @@ import pytest
 import giajax
 import small_loops
 from giajax import InputError
-from giajax.schema import KINDS, ChannelKind, add_kind
+from giajax.schema import ChannelKind
 from giajax.tasks import Plan
 
 pytestmark = pytest.mark.quick
@@ -192,11 +192,12 @@ def test_fits_by_an_edited_loss_that_a_module_registers_are_others(folder, monke
     assert {loss: len(known) for loss, known in keys.items()} == {"huber": 1, "PlannedLoss": 2}
 
 
+@pytest.mark.usefixtures("own_kinds")
 @pytest.mark.parametrize("what", ["model", "sensor"])
 def test_fits_of_what_only_columns_name_are_others_where_its_module_is(tmp_path, monkeypatch, what):
     (tmp_path / "kite.csv").write_text("time_s,joint01_angle_deg,cord_m\n0,0,1\n1,0,2\n")
     (tmp_path / "plan.toml").write_text('data = ["kite.csv"]\n')
-    kinds, keys = dict(KINDS), set()
+    keys = set()
     row = ChannelKind("cord", "cord", "length", "output")
     body = {"__module__": "kites", "kind": f"planned_{what}"}
     if what == "model":
@@ -211,9 +212,6 @@ def test_fits_of_what_only_columns_name_are_others_where_its_module_is(tmp_path,
         there = {"kites": ("kites.py", f"sha256 {digest}")}
         monkeypatch.setattr("giajax.runtime.plugins.source", there.get)
         keys.add(Plan.load(tmp_path / "plan.toml").tasks()[0].key)
-    KINDS.clear()
-    KINDS.update(kinds)
-    add_kind(KINDS["arm"])
     assert len(keys) == 2
 
 
