@@ -110,7 +110,7 @@ def short_arm() -> Experiment:
     import giajax
 
     def build(values: Mapping[str, float]) -> Any:
-        return giajax.ArmModel(giajax.replace(giajax.chain(3), values))
+        return giajax.ArmModel(giajax.replace(giajax.takeichi_20m(3), values))
 
     times = np.linspace(0.0, 4.0, 401)
     ramp = np.clip(times / 0.5, 0, 1)

@@ -3,7 +3,6 @@
 import jax.numpy as jnp
 import numpy as np
 
-import giajax.schema.parameters
 from giajax.mechanics.arm import Arm, PointMasses, chain, takeichi_20m
 from giajax.simulation import Signal, joint_ramps
 
@@ -25,7 +24,7 @@ def general_arm(links: int, seed: int = 0) -> Arm:
         return random.uniform(lower, upper, links)
 
     length, mass, axial = per_link(0.5, 1.5), per_link(0.02, 0.1), per_link(5e-4, 2e-3)
-    arm = chain(
+    return chain(
         links,
         length=length,
         diameter=per_link(0.1, 0.5),
@@ -37,10 +36,7 @@ def general_arm(links: int, seed: int = 0) -> Arm:
         base_rotation=random.normal(size=3),
         gravity=1.7,
         air_density=1.1,
-    )
-    return giajax.schema.parameters.replace(
-        arm,
-        {
+        parameters={
             "air.drag_coefficient": 0.9,
             "joints.pitch_stiffness": 2.0,
             "joints.yaw_stiffness": 7.0,
@@ -64,23 +60,6 @@ def full_arm(links: int, seed: int = 0) -> Arm:
         up=jnp.asarray(random.uniform(-0.2, 0.1, 3)),
         drag_area=jnp.asarray([0.03, 0.01, 0.02]),
     )
-    arm = chain(
-        links,
-        length=plain.links.length,
-        diameter=plain.links.diameter,
-        mass=plain.links.mass,
-        centre_of_mass=plain.links.centre_of_mass,
-        inertia_transverse=plain.links.inertia_transverse,
-        inertia_axial=plain.links.inertia_axial,
-        joint_axes=[list(axis) for axis in plain.joints.axes],
-        base_rotation=plain.base_rotation,
-        gravity=1.7,
-        air_density=0.4,
-        drag="strip",
-        drag_curve="cylinder",
-        buoyancy=True,
-        point_masses=bodies,
-    )
     options = {
         "air.drag_coefficient": 0.9,
         "air.axial_coefficient": 0.05,
@@ -97,7 +76,24 @@ def full_arm(links: int, seed: int = 0) -> Arm:
         "buoyancy.trim_depth": 0.15,
         "buoyancy.imbalance": 0.005,
     }
-    return giajax.schema.parameters.replace(arm, options)
+    return chain(
+        links,
+        length=plain.links.length,
+        diameter=plain.links.diameter,
+        mass=plain.links.mass,
+        centre_of_mass=plain.links.centre_of_mass,
+        inertia_transverse=plain.links.inertia_transverse,
+        inertia_axial=plain.links.inertia_axial,
+        joint_axes=[list(axis) for axis in plain.joints.axes],
+        base_rotation=plain.base_rotation,
+        gravity=1.7,
+        air_density=0.4,
+        drag="strip",
+        drag_curve="cylinder",
+        buoyancy=True,
+        point_masses=bodies,
+        parameters=options,
+    )
 
 
 def random_states(links: int, count: int, seed: int = 1) -> dict[str, jnp.ndarray]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from giajax.fitting import predict
-from giajax.mechanics.arm import chain
+from giajax.mechanics.arm import takeichi_20m
 from giajax.models import ArmModel
 from giajax.recordings import Run, read_run, write_run
 from giajax.schema.parameters import replace
@@ -34,7 +34,7 @@ def make_run(
     commands = {"joint01_command": 0.6 * ramp, "joint02_command": -0.5 * ramp}
     definition = {"arm": {"links": LINKS}, "noise": {"position_m": NOISE}}
     dummy = {channels[0]: np.zeros_like(times)}
-    model = replace(ArmModel(chain(LINKS)), TRUTH)
+    model = replace(ArmModel(takeichi_20m(LINKS)), TRUTH)
     clean = Run.from_arrays(times, {**commands, **dummy}, definition=definition)
     predicted = predict(model, clean, channels)
     noise = np.random.default_rng(seed)

@@ -12,7 +12,7 @@ import pytest
 import typer
 
 import giajax
-from giajax.cli import _app
+from giajax.cli import _app, main
 from giajax.schema import PadFile
 from giajax.tasks import Plan
 
@@ -65,6 +65,29 @@ def test_the_files_that_pages_show_are_legal():
             assert PadFile(**tomllib.loads(block)).pad.axes
         else:
             giajax.Definition.parse(tomllib.loads(block), name)
+
+
+@pytest.mark.slow
+def test_the_files_and_commands_of_an_own_arm_run(tmp_path, monkeypatch):
+    """Blocks that begin with a name are files; what `giajax simulate` set is found again."""
+    monkeypatch.chdir(tmp_path)
+    text = PAGES["own_arm.md"].read_text(encoding="utf-8")
+    (tmp_path / "robot.xml").write_text(ROBOT)
+    for language, block in re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+        if language == "toml":
+            (tmp_path / block.split()[1]).write_text(block)
+        for line in () if language else block.replace("\\\n", "").splitlines():
+            assert main(shlex.split(line)[1:]) == 0, line
+    drag = giajax.load_result("mine").parameters["air.drag_coefficient"]
+    assert abs(drag.value - 1.3) < 3 * drag.standard_error < 0.3
+    assert (tmp_path / "exported" / "arm.xml").exists()
+
+
+ROBOT = """<mujoco><compiler angle="radian"/><worldbody><body><joint axis="0 -1 0" damping="0.01"
+stiffness="1"/><geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.05" mass="0.03"/>
+<body pos="0.4 0 0"><joint axis="0 -1 0" damping="0.01" stiffness="1"/>
+<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.05" mass="0.02"/></body></body>
+</worldbody></mujoco>"""
 
 
 def modules():

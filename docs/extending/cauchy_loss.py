@@ -22,7 +22,7 @@ class CauchyLoss(AbstractLoss):
 
 def recording():
     """A swinging arm whose tracker takes something else for a marker, to one side of it."""
-    arm = giajax.chain(3, drag="strip")
+    arm = giajax.takeichi_20m(3, drag="strip")
     times = np.linspace(0.0, 6.0, 121)
     run = giajax.synthesise(
         giajax.ArmModel(giajax.replace(arm, {"air.drag_coefficient": TRUTH})),

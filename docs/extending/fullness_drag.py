@@ -29,7 +29,7 @@ class FullnessDrag(AbstractDragLaw):
 def main():
     jax.config.update("jax_enable_x64", True)
     fill = {"links.fullness": [1.0, 0.5, 0.2]}
-    arm = giajax.chain(3, drag="FullnessDrag", parameters=fill)
+    arm = giajax.takeichi_20m(3, drag="FullnessDrag", parameters=fill)
     truth = giajax.ArmModel(giajax.replace(arm, {"air.law.coefficient": 1.3, "air.law.limp": 0.9}))
     times = np.linspace(0.0, 6.0, 121)
     inputs = {f"joint{joint:02d}_command": np.sin(times * joint) for joint in (1, 2, 3)}

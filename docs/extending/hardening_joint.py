@@ -34,7 +34,7 @@ class HardeningJoint(AbstractJointLaw):
 def main():
     jax.config.update("jax_enable_x64", True)
     check_joint_law(HardeningJoint())
-    arm = giajax.chain(2, joint_laws=["HardeningJoint"])
+    arm = giajax.takeichi_20m(2, joint_laws=["HardeningJoint"])
     true = {"joints.laws.HardeningJoint.strength": 6.0, "joints.laws.HardeningJoint.loss": 0.8}
     truth = giajax.ArmModel(giajax.replace(arm, true))
     times = np.linspace(0.0, 6.0, 121)

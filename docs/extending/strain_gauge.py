@@ -27,7 +27,7 @@ class StrainGauge(AbstractSensor):
 
 def main():
     jax.config.update("jax_enable_x64", True)
-    arm = giajax.chain(1, parameters={"gravity": 9.80665})
+    arm = giajax.takeichi_20m(1, parameters={"gravity": 9.80665})
     zero = "sensor.StrainGauge.zero"
     true = {"joints.pitch_stiffness": 5.0, "sensor.StrainGauge.gain": 2e-3, zero: 3e-3}
     sensors = giajax.models.Sensors(sensor={"StrainGauge": StrainGauge()})

@@ -95,7 +95,7 @@ def test_it_moves_as_in_mujoco_and_comes_out_the_same(name, tmp_path):
 
 @pytest.mark.slow
 def test_the_arm_of_the_paper_moves_as_in_mujoco_with_its_air(tmp_path):
-    arm = giajax.chain(20, gravity=9.80665, buoyancy=True, trim=True, drag="strip")
+    arm = giajax.takeichi_20m(20, gravity=9.80665, buoyancy=True, trim=True, drag="strip")
     arm = giajax.schema.parameters.replace(arm, {"joints.damping": 0.3})
     for each in (giajax.takeichi_20m(), arm):
         exported = export_mjcf(each)
@@ -138,7 +138,7 @@ def test_what_a_file_switches_off_is_off(tmp_path):
 
 
 def test_an_arm_that_mujoco_refuses_is_named():
-    arm = giajax.chain(2, inertia_axial=1.0, inertia_transverse=0.1)
+    arm = giajax.takeichi_20m(2, inertia_axial=1.0, inertia_transverse=0.1)
     with pytest.raises(giajax.InputError, match="MuJoCo refuses this arm"):
         export_mjcf(arm)
 

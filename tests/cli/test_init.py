@@ -25,6 +25,7 @@ def test_init_writes_a_sidecar_that_is_read(run, capsys):
     text = sidecar.read_text()
     for line in [
         'model = "arm"',
+        'preset = "takeichi_20m"',
         "# link_mass_kg = 0.047",
         '# interpolation = "linear"',
         "# position_m = 0.01",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax import InputError, Run, chain, fit, predict
+from giajax import InputError, Run, fit, predict, takeichi_20m
 from giajax.fitting import resolved_ties, set_up, tied, within_bounds
 from giajax.models import ArmModel
 from giajax.schema import Expression
@@ -120,7 +120,7 @@ def test_ties_of_ties_are_computed_in_their_order():
 
 def test_an_element_that_its_own_tie_names_stays_free():
     """One mass for all links: the tie of an array to one of its elements."""
-    model = ArmModel(chain(4))
+    model = ArmModel(takeichi_20m(4))
     times = np.linspace(0.0, 2.0, 9)
     flat = Run.from_arrays(times, {"joint01_command": 0 * times, "link04_z": times})
     setup = set_up(model, flat, free=["links.mass"], ties={"links.mass": "links.mass[2]"})
@@ -170,7 +170,7 @@ def test_a_tie_that_cannot_be_is_refused(options, sentence):
 
 
 def test_a_tie_of_another_number_of_values_is_refused():
-    model = ArmModel(chain(4))
+    model = ArmModel(takeichi_20m(4))
     with pytest.raises(InputError, match=r"has 1 element, comes to 4 values: tie it to one value"):
         tied(model, resolved_ties(model, {"air.density": "links.mass"}))
     with pytest.raises(InputError, match=r"'links.mass\[1\]' is tied by 'links.mass' and by"):
@@ -180,7 +180,7 @@ def test_a_tie_of_another_number_of_values_is_refused():
 @pytest.mark.slow
 def test_one_common_mass_of_twenty_links_is_found():
     """Positions of a pitching arm with a stiffness that is known: the mass of all links is one."""
-    truth = replace(ArmModel(chain(20)), {"links.mass": 0.06, "joints.damping": 0.1})
+    truth = replace(ArmModel(takeichi_20m(20)), {"links.mass": 0.06, "joints.damping": 0.1})
     times = np.linspace(0.0, 3.0, 31)
     commands = {"joint01_command": np.clip(times, 0, 1) * 0.4}
     blank = Run.from_arrays(times, {**commands, "link20_z": 0 * times, "link10_z": 0 * times})

@@ -239,7 +239,7 @@ def test_what_is_no_result_is_said(tmp_path, content):
 
 
 def test_an_arm_goes_through_its_definition():
-    arm = giajax.chain(
+    arm = giajax.takeichi_20m(
         3,
         length=[1.0, 0.8, 0.5],
         mass=[0.1, 0.2, 0.3],

@@ -72,8 +72,8 @@ def test_the_floating_preset_goes_through_its_definition():
 )
 def test_every_key_is_an_argument_of_chain(section, same):
     stated = arm_from_definition(through_toml(section))
-    assert eqx.tree_equal(stated, giajax.chain(3, **same))
-    assert not eqx.tree_equal(stated, giajax.chain(3))
+    assert eqx.tree_equal(stated, giajax.takeichi_20m(3, **same))
+    assert not eqx.tree_equal(stated, giajax.takeichi_20m(3))
 
 
 def run_of(model, channels, **changes):

@@ -79,7 +79,7 @@ def test_each_key_changes_the_arm():
 
 
 def test_paths_are_those_of_a_joint_and_of_a_muscle():
-    arm = declared(ArmModel(giajax.chain(2, muscles="all")))
+    arm = declared(ArmModel(giajax.takeichi_20m(2, muscles="all")))
     others = [declared(JointModel(Joint())), declared(MuscleModel())]
     shared = [path for other in others for path in other if path != "length"]
     assert len(shared) > 20
@@ -90,9 +90,9 @@ def test_paths_are_those_of_a_joint_and_of_a_muscle():
 
 
 def test_a_fit_frees_what_an_arm_can_tell():
-    free = default_free(ArmModel(giajax.chain(2, muscles="pitch")))
+    free = default_free(ArmModel(giajax.takeichi_20m(2, muscles="pitch")))
     assert free == ("joints.yaw_stiffness", "joints.damping", "air.drag_coefficient")
-    free = default_free(ArmModel(giajax.chain(2, muscles=[2])))
+    free = default_free(ArmModel(giajax.takeichi_20m(2, muscles=[2])))
     assert free == ("joints.pitch_stiffness", "joints.damping", "air.drag_coefficient")
 
 

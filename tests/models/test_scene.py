@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax import InputError, JointModel, MuscleModel, Run, chain, joint_steps, predict, simulate
+from giajax import InputError, JointModel, MuscleModel, Run, joint_steps, predict, simulate
 from giajax.mechanics.arm import Contact, drag_force
 from giajax.mechanics.joint import Joint, muscle_path
 from giajax.mechanics.obstacles import Plane
@@ -20,7 +20,7 @@ ANGLES = np.deg2rad([-60.0, -30.0, -2.0, 2.0, 10.0, 45.0])
 
 @pytest.mark.slow
 def test_links_go_from_joint_to_joint():
-    arm = chain(2, joint_axes="pitch_yaw", length=[2.0, 1.0], diameter=[0.4, 0.2])
+    arm = takeichi_20m(2, joint_axes="pitch_yaw", length=[2.0, 1.0], diameter=[0.4, 0.2])
     motion = simulate(arm, joint_steps(2, {1: 0.0}), jnp.linspace(0.0, 1.0, 3))
     # The pose alone matters: joint 1 up by 30 deg, joint 2 to the left by 90 deg.
     angles = jnp.broadcast_to(jnp.deg2rad(jnp.asarray([30.0, 90.0])), (3, 2))
@@ -39,7 +39,7 @@ def test_links_go_from_joint_to_joint():
 
 
 def test_a_tracked_point_is_where_its_marker_is():
-    arm = chain(1, length=2.0)
+    arm = takeichi_20m(1, length=2.0)
     motion = simulate(arm, joint_steps(1, {1: 0.0}), jnp.linspace(0.0, 1.0, 2))
     marker = Marker(up=jnp.asarray(0.1), tip=jnp.asarray([0.05, 0.0, 0.0]))
     scene = arm_scene(motion, marker)
@@ -119,7 +119,7 @@ def test_parts_that_do_not_fit_together_are_refused():
 
 def test_muscles_lie_on_both_sides_of_their_joint():
     """The first on the side to which a positive angle bends, and shorter then."""
-    arm = chain(2, muscles=[2], joint_axes="pitch_yaw", length=2.0, diameter=0.4)
+    arm = takeichi_20m(2, muscles=[2], joint_axes="pitch_yaw", length=2.0, diameter=0.4)
     angles = jnp.asarray([[0.3, 0.0], [0.3, 0.5]])
     motion = simulate(arm, joint_steps(2, {}), jnp.asarray([0.0, 1e-3]))
     scene = arm_scene(dataclasses.replace(motion, angles=angles))
@@ -147,7 +147,7 @@ def test_muscles_lie_on_both_sides_of_their_joint():
 @pytest.mark.slow
 def test_forces_are_those_of_the_air_and_of_what_is_touched():
     ground = Plane(centre=[0.0, 0.0, -0.15])
-    arm = chain(2, length=1.0, diameter=0.4, contact=Contact(obstacles=(ground,)))
+    arm = takeichi_20m(2, length=1.0, diameter=0.4, contact=Contact(obstacles=(ground,)))
     wind = [0.0, 2.0, 0.0]
     motion = simulate(arm, joint_steps(2, {}), jnp.asarray([0.0, 1e-3]), wind=wind)
     scene = arm_scene(motion)

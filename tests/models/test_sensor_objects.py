@@ -48,7 +48,7 @@ def bent(links=3, **changes):
 
 def held():
     """A horizontal link that its spring holds up, at rest."""
-    arm = giajax.chain(1, parameters={"gravity": GRAVITY})
+    arm = giajax.takeichi_20m(1, parameters={"gravity": GRAVITY})
     load = giajax.mechanics.arm.inverse_dynamics(arm, *[jnp.zeros(1)] * 3)
     command = load / arm.spring_stiffness
     return moving(arm, [0.0], command=constant(command))
@@ -66,7 +66,7 @@ def test_at_rest_an_accelerometer_shows_g_upwards_and_a_gyroscope_nothing():
 
 
 def test_a_link_that_turns_shows_its_rate_and_omega_squared_r_towards_the_joint():
-    arm = giajax.chain(1, joint_axes=["yaw"], length=2.0)
+    arm = giajax.takeichi_20m(1, joint_axes=["yaw"], length=2.0)
     arm = giajax.replace(arm, {"joints.damping": 0.0, "air.drag_coefficient": 0.0})
     motion, omega = moving(arm, [0.4], [3.0]), 3.0
     assert np.allclose(motion.accelerations, 0, atol=1e-12)
@@ -76,7 +76,7 @@ def test_a_link_that_turns_shows_its_rate_and_omega_squared_r_towards_the_joint(
 
 
 def test_an_inclinometer_shows_the_angle_above_the_horizontal():
-    motion = moving(giajax.chain(2, joint_axes=["pitch", "pitch"]), [-0.3, 0.5])
+    motion = moving(giajax.takeichi_20m(2, joint_axes=["pitch", "pitch"]), [-0.3, 0.5])
     along = np.asarray(giajax.mechanics.arm.pose(motion.arm, motion.angles[0]).direction)
     assert np.allclose(Inclinometer(offset=0.1).values(motion), np.arcsin(along[2]) + 0.1)
 
@@ -211,7 +211,7 @@ def test_derivatives_are_those_of_differences_at_rest_too(name):
 
 
 def test_a_run_of_an_imu_is_read_fitted_and_stored(tmp_path):
-    arm = giajax.chain(1, joint_axes=["yaw"])
+    arm = giajax.takeichi_20m(1, joint_axes=["yaw"])
     truth = giajax.ArmModel(
         arm, sensors=Sensors(sensor={"gyroscope": Gyroscope(offset_z=[0.05])}), tolerance=1e-8
     )
@@ -335,7 +335,7 @@ def test_a_sensor_without_a_method_or_with_the_row_of_another_is_refused(wrong, 
 
 @pytest.mark.usefixtures("own_rows")
 def test_a_cell_that_is_run_again_is_another_sensor_by_default():
-    arm, shown = giajax.chain(1), []
+    arm, shown = giajax.takeichi_20m(1), []
     for value in (1.0, 2.0):
         giajax.register(gauge("Cell", values=lambda self, motion, v=value: v + 0 * motion.rates))
         values = {"joint01_command": [0.0, 0.1], "gauge01": [0.0, 0.0]}
@@ -367,12 +367,12 @@ def test_a_sensor_that_no_result_could_name_is_refused():
     power = giajax.register(gauge("Power", ("power", "powerNN", "ratio", "output"), **powers))
     for value in (1, 2):
         sensors = Sensors(sensor={"Power": power(power=value)})
-        model = giajax.ArmModel(giajax.chain(2), sensors=sensors)
+        model = giajax.ArmModel(giajax.takeichi_20m(2), sensors=sensors)
         if value == 1:
             assert model.definition()["sensors"]["own"] == {"Power": {}}
     with pytest.raises(InputError, match="sensor Power has power = 2, which no file can state"):
         model.definition()
-    model = giajax.ArmModel(giajax.chain(2), sensors=Sensors(sensor={"Gauge": gauge()()}))
+    model = giajax.ArmModel(giajax.takeichi_20m(2), sensors=Sensors(sensor={"Gauge": gauge()()}))
     with pytest.raises(InputError, match="there is no registered sensor Gauge, and a result could"):
         model.definition()
 
@@ -399,7 +399,7 @@ def test_a_sensor_that_no_result_could_name_is_refused():
 def test_a_wrong_sensor_is_refused_before_a_fit_by_the_name_of_its_method(values, said):
     sensor = type("Gauge", (AbstractSensor,), {"__module__": "gauges", "values": values})
     sensor.channel = ChannelKind("gauge", "gaugeNN", "ratio", "output")
-    model = giajax.ArmModel(giajax.chain(2), sensors=Sensors(sensor={"Gauge": sensor()}))
+    model = giajax.ArmModel(giajax.takeichi_20m(2), sensors=Sensors(sensor={"Gauge": sensor()}))
     run = giajax.Run.from_arrays([0.0, 1.0], {"joint01_command": [0.0, 1.0]})
     with pytest.raises(InputError, match=rf"Gauge\.{said}"):
         model.prepare(run)

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from giajax import Definition, FitTask, InputError, Run, fit, predict, replace
 from giajax.fitting import set_up
-from giajax.mechanics.arm import chain
+from giajax.mechanics.arm import takeichi_20m
 from giajax.models import ArmModel, SeveralModels, capabilities, model_for
 from giajax.recordings import read_runs, write_run
 from giajax.report import summary
@@ -98,7 +98,7 @@ class Own(Metres):
 
 @pytest.mark.quick
 def test_keys_of_an_own_kind_stand_by_themselves():
-    arm = ArmModel(chain(1))
+    arm = ArmModel(takeichi_20m(1))
     stated = SeveralModels((arm, Own())).definition()
     assert stated["arm"] == arm.definition()["arm"]
     assert stated["models"] == ["arm", "own"]

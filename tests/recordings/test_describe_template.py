@@ -50,7 +50,7 @@ def test_description_of_a_run(tmp_path):
     notes = "\n".join(facts["notes"])
     assert "noise of link06_z not stated" in notes
     assert "wind_y and wind_z not recorded" in notes
-    assert "preset" not in notes
+    assert "[arm] names no preset" in notes
 
 
 def test_held_commands_have_a_corner_at_each_jump():
@@ -88,6 +88,35 @@ def test_notes_say_what_is_assumed():
                  "can be simulated, but not fitted"]:  # fmt: skip
         assert part in notes
     assert (facts["sidecar"], facts["wind"]) == (None, None)
+
+
+def test_a_preset_that_no_one_named_is_said():
+    """What is left to it, by name where that is little; nothing where one is named."""
+
+    def notes(**arm):
+        run = Run.from_arrays([0.0, 1.0], {"joint01_command": [0.0, 1.0]}, definition={"arm": arm})
+        return [note for note in describe(run)["notes"] if "preset" in note]
+
+    assert notes(preset="takeichi_20m", links=2) == []
+    assert notes(preset="chain", links=2) == []
+    (sentence,) = notes(links=2, link_length_m=0.5, joint_axes="pitch_yaw")
+    assert sentence.startswith("[arm] names no preset: the constants of the preset takeichi_20m")
+    assert 'such as "chain"' in sentence
+    sizes = {"link_length_m": 0.5, "link_diameter_m": 0.1, "link_mass_kg": 0.1}
+    joints = {"joints.pitch_stiffness": 1.0, "joints.yaw_stiffness": 1.0, "joints.damping": 0.0}
+    (sentence,) = notes(**sizes, parameters=joints)
+    assert ": gravity, air.drag_coefficient, joint_axes of the preset takeichi_20m" in sentence
+    sizes |= {"joint_axes": ["pitch", [0.0, 1.0, 1.0]], "links": 2}
+    known = joints | {"air.drag_coefficient": 1.0}
+    assert notes(**sizes, gravity_m_per_s2=9.81, parameters=known) == []
+
+
+def test_assumed_muscles_of_an_own_arm_are_said():
+    arm = {"preset": "chain", "muscles": "pitch", "parameters": {"geometry.anchor_x": 0.4}}
+    run = Run.from_arrays([0.0, 1.0], {"joint01_command": [0.0, 1.0]}, definition={"arm": arm})
+    (note,) = (note for note in describe(run)["notes"] if note.startswith("muscles as"))
+    assert "geometry.anchor_y" in note
+    assert "geometry.anchor_x" not in note
 
 
 def test_winds_of_some_links_are_told():
@@ -149,6 +178,9 @@ def test_a_gap_is_two_leaps_and_another_rate_none():
     assert leap_notes(run([0.01])) == []
 
 
+PRESET = {"preset": "takeichi_20m"}
+
+
 def offered(text):
     """The template with every key that it offers stated."""
     return re.sub(r"^# (\w+ = )", r"\1", text, flags=re.MULTILINE)
@@ -157,10 +189,14 @@ def offered(text):
 @pytest.mark.parametrize(
     ("text", "stated", "keys"),
     [
-        (CSV, {"model": "arm"}, {"arm", "sensors", "initial", "command", "wind", "noise"}),
+        (
+            CSV,
+            {"model": "arm", "arm": PRESET},
+            {"arm", "sensors", "initial", "command", "wind", "noise"},
+        ),
         (
             "time_s,joint01_angle_deg,joint22_rate_rad_per_s\n0,1,2\n1,1,2\n",
-            {"model": "arm", "free_motion": True, "arm": {"links": 22}},
+            {"model": "arm", "free_motion": True, "arm": PRESET | {"links": 22}},
             {"arm", "sensors", "initial", "wind", "noise", "free_motion"},
         ),
         ("command_deg,angle_deg\n0,1\n", {"model": "hysteresis"}, {"hysteresis", "noise"}),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.mechanics.arm import chain, kinetic_energy, potential_energy, takeichi_20m
+from giajax.mechanics.arm import kinetic_energy, potential_energy, takeichi_20m
 from giajax.runtime.text import InputError
 from giajax.schema.parameters import replace
 from giajax.simulation import constant, ramps, simulate, steps
@@ -32,7 +32,7 @@ def test_a_falling_horizontal_cylinder(drag, added):
     parameters = {"buoyancy.helium_density": 0.0}
     if added is not None:
         parameters["air.added_mass_coefficient"] = added
-    arm = chain(
+    arm = takeichi_20m(
         2,
         length=[lever, LENGTH],
         diameter=[1e-15, DIAMETER],
@@ -79,7 +79,7 @@ def test_a_link_that_swings_loses_energy_to_the_air(drag, share, added):
     """
     stiffness = 3.0
     options = {} if added is None else {"parameters": {"air.added_mass_coefficient": added}}
-    arm = chain(1, joint_axes=["pitch"], drag=drag, **options)
+    arm = takeichi_20m(1, joint_axes=["pitch"], drag=drag, **options)
     arm = replace(arm, {"joints.damping": 0.0})
     inertia = 0.047 * (0.15**2 / 2 + LENGTH**2 / 3)
     if added is not None:
@@ -122,7 +122,7 @@ def test_a_trimmed_arm_stays_where_it_is_put():
 @pytest.mark.slow
 def test_a_wind_that_grows_pushes_a_link_and_one_that_jumps_is_refused():
     """Without drag, I q'' = rho V (1 + C_a) (L / 2) du/dt with I of the link and its air."""
-    arm = chain(1, joint_axes=["yaw"], parameters={"air.added_mass_coefficient": 0.8})
+    arm = takeichi_20m(1, joint_axes=["yaw"], parameters={"air.added_mass_coefficient": 0.8})
     arm = replace(
         arm, {"air.drag_coefficient": 0.0, "joints.yaw_stiffness": 0.0, "joints.damping": 0.0}
     )
@@ -136,7 +136,7 @@ def test_a_wind_that_grows_pushes_a_link_and_one_that_jumps_is_refused():
     jumping = steps([0.0, 0.5], [[0.0, 0.0, 0.0], [0.0, gust, 0.0]])
     with pytest.raises(InputError, match="the wind jumps, and with added mass the force of that"):
         simulate(arm, constant([0.0]), times, wind=jumping)
-    plain = chain(1, joint_axes=["yaw"])
+    plain = takeichi_20m(1, joint_axes=["yaw"])
     assert simulate(plain, constant([0.0]), times, wind=jumping).successful
     assert simulate(arm, constant([0.0]), times, wind=[0.0, 1.0, 0.0]).successful
 
@@ -144,7 +144,7 @@ def test_a_wind_that_grows_pushes_a_link_and_one_that_jumps_is_refused():
 def test_coulomb_friction_brings_a_link_to_rest():
     """Fast against the smoothing rate, I w' = -f: w = w0 - f t / I, and it stops."""
     parameters = {"joints.friction": 0.02, "joints.friction_rate": 1e-3}
-    arm = chain(1, joint_axes=["pitch"], parameters=parameters)
+    arm = takeichi_20m(1, joint_axes=["pitch"], parameters=parameters)
     nothing = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.damping")
     arm = replace(arm, dict.fromkeys(nothing, 0.0))
     inertia = 0.047 * (0.15**2 / 2 + LENGTH**2 / 3)

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import eigh
 from scipy.special import ellipj
 
-from giajax.mechanics.arm import chain
+from giajax.mechanics.arm import takeichi_20m
 from giajax.schema.parameters import replace
 from giajax.simulation import SOLVERS, constant, joint_ramps, joint_steps, simulate
 
@@ -19,7 +19,7 @@ def one_link(*, stiffness=0.0, damping=0.0, drag=0.0, **options):
     """A rod of 2 m and 0.5 kg on a pitch joint; inertia about the joint I = 0.5 2^2 / 3."""
     rod = {"length": 2.0, "mass": 0.5, "diameter": 0.3, "inertia_transverse": 0.5 * 2.0**2 / 12}
     return replace(
-        chain(1, joint_axes=["pitch"], **rod, **options),
+        takeichi_20m(1, joint_axes=["pitch"], **rod, **options),
         {
             "joints.pitch_stiffness": stiffness,
             "joints.damping": damping,
@@ -111,7 +111,7 @@ def test_two_rods_swing_in_their_modes():
     M11 = I1 + m1 c1^2 + I2 + m2 (L1 + c2)^2, M12 = I2 + m2 c2 (L1 + c2), M22 = I2 + m2 c2^2.
     """
     m, c, inertia, length = (0.2, 0.3), (0.4, 0.8), (0.02, 0.05), (1.2, 1.5)
-    arm = chain(
+    arm = takeichi_20m(
         2,
         length=length,
         mass=m,

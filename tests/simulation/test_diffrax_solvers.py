@@ -14,7 +14,7 @@ from giajax import InputError
 from giajax.runtime.programs import content
 from giajax.runtime.solvers import as_text, from_text
 
-ARM = giajax.chain(1)
+ARM = giajax.takeichi_20m(1)
 TIMES = jnp.linspace(0.0, 2.0, 21)
 COMMAND = giajax.joint_ramps(1, {1: 0.5}, start=0.1, duration=0.5)
 LESS = diffrax.PIDController(1.0, 1.0, pcoeff=0.2, icoeff=0.5)
@@ -118,7 +118,7 @@ def test_settings_and_a_stepper_refuse_what_a_fit_or_a_motion_would():
 
 def test_what_slides_needs_an_error_of_each_step():
     stops = {"joints.stops.strength": [0.1], "joints.stops.yield_angle": [0.05]}
-    arm = giajax.chain(1, parameters=stops)
+    arm = giajax.takeichi_20m(1, parameters=stops)
     steps = diffrax.StepTo(TIMES)
     with pytest.raises(InputError, match=r"Euler estimates no error .* where nothing slides"):
         giajax.simulate(arm, COMMAND, TIMES, solver=diffrax.Euler(), stepsize_controller=steps)
@@ -174,7 +174,7 @@ def test_a_model_goes_through_its_definition_with_its_solver_and_controller():
 
 @pytest.mark.slow
 def test_a_fit_by_it_is_written_and_read(tmp_path):
-    arm = giajax.chain(1)
+    arm = giajax.takeichi_20m(1)
     command = {"joint01_command": np.sin(3 * np.asarray(TIMES))}
     truth = giajax.ArmModel(giajax.replace(arm, {"air.drag_coefficient": 1.5}))
     run = giajax.synthesise(

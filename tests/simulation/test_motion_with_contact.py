@@ -12,11 +12,11 @@ import giajax
 from giajax import InputError
 from giajax.mechanics.arm import (
     Contact,
-    chain,
     contact_energy,
     kinetic_energy,
     mass_matrix,
     potential_energy,
+    takeichi_20m,
     touch,
 )
 from giajax.mechanics.obstacles import Box, Plane, WallWithOpening
@@ -31,7 +31,7 @@ def arm_at(box, **about):
     centre, half, turn = box
     obstacle = Box(centre=centre, size=2 * np.asarray(half), rotation=turn)
     stiff = {"joints.pitch_stiffness": 3.0, "joints.yaw_stiffness": 3.0, "joints.damping": 0.1}
-    return chain(2, contact=Contact(obstacles=(obstacle,), **about), parameters=stiff)
+    return takeichi_20m(2, contact=Contact(obstacles=(obstacle,), **about), parameters=stiff)
 
 
 THEIRS = {}
@@ -60,7 +60,7 @@ def test_the_same_penalty_in_mujoco(box, joint, solver):
 def resting():
     """A link on the ground under its weight, which the wind pushes aside."""
     ground = Plane(centre=[0.0, 0.0, -0.6])
-    return chain(
+    return takeichi_20m(
         2,
         gravity=9.81,
         joint_axes=["pitch", "yaw"],
@@ -97,7 +97,7 @@ def test_impulse_is_what_the_motion_lost():
     wall = Box(centre=[0.9, 0.0, -0.45], size=[0.3, 0.6, 0.4])
     none = {"joints.pitch_stiffness": 1e-9, "joints.damping": 0.0, "air.drag_coefficient": 1e-9}
     for damping, kept in ((0.0, 1.0), (1.0, None)):
-        arm = chain(
+        arm = takeichi_20m(
             1, contact=Contact(obstacles=(wall,), pressure=50.0, damping=damping), parameters=none
         )
         times = np.linspace(0.0, 0.6, 3001)
@@ -142,7 +142,7 @@ def test_energy_does_not_grow_over_random_impacts(solver, obstacles, count):
     """
     none = {"joints.damping": 0.0, "air.drag_coefficient": 0.0}
     contact = Contact(obstacles=obstacles, friction=0.3, points=2)
-    arm = chain(3, contact=contact, parameters=none)
+    arm = takeichi_20m(3, contact=contact, parameters=none)
     times = jnp.linspace(0.0, 1.5, 61)
     still = constant(jnp.zeros(3))
 
@@ -242,6 +242,6 @@ def test_derivatives_through_an_impact_are_differences():
 
 
 def test_an_arm_without_obstacles_has_no_contacts():
-    motion = simulate(chain(1), constant(jnp.zeros(1)), [0.0, 1.0])
+    motion = simulate(takeichi_20m(1), constant(jnp.zeros(1)), [0.0, 1.0])
     with pytest.raises(InputError, match="the arm has no obstacles"):
         contacts(motion)

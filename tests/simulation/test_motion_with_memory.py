@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError
-from giajax.mechanics.arm import acceleration, chain
+from giajax.mechanics.arm import acceleration, takeichi_20m
 from giajax.schema.parameters import replace
 from giajax.simulation import Signal, logged, simulate, solver as solver_named, with_return_mapping
 
@@ -25,7 +25,7 @@ LAWS = {"dahl": BOUC_WEN, "bouc-wen": SHARP, "stops": STOPS, "both": BOUC_WEN | 
 def arm_with(parameters, links=LINKS):
     # Quickly moved to and fro: there are reversals in each joint, at rest and under way.
     own = {"joints.pitch_stiffness": 3.0, "joints.yaw_stiffness": 5.0, "joints.damping": 0.02}
-    return chain(links, parameters=own | {"air.added_mass_coefficient": 1.0} | parameters)
+    return takeichi_20m(links, parameters=own | {"air.added_mass_coefficient": 1.0} | parameters)
 
 
 def to_and_fro(links=LINKS):

@@ -10,12 +10,12 @@ from numpy.testing import assert_allclose
 from giajax import InputError
 from giajax.mechanics.arm import (
     Pneumatics,
-    chain,
     damping_power,
     drag_power,
     kinetic_energy,
     muscle_power,
     potential_energy,
+    takeichi_20m,
 )
 from giajax.mechanics.joint import equilibria
 from giajax.schema.parameters import replace
@@ -37,7 +37,7 @@ commanded = eqx.filter_jit(Pneumatics.commanded)
 
 
 def arm_with(parameters=DAMPED, links=LINKS, muscles="pitch"):
-    return chain(links, muscles=muscles, parameters=parameters)
+    return takeichi_20m(links, muscles=muscles, parameters=parameters)
 
 
 def supplied(arm, command, joints=None):
@@ -220,7 +220,7 @@ def test_what_muscles_cannot_do_is_refused():
     with pytest.raises(InputError, match="joint 2 is driven by pressures, but it has no muscles"):
         simulate(arm, still, times, pressure=Pressures(signal, (1, 2)))
     with pytest.raises(InputError, match="joint 1 is driven by pressures, but it has no muscles"):
-        simulate(chain(LINKS), still, times, pressure=Pressures(signal, (1,)))
+        simulate(takeichi_20m(LINKS), still, times, pressure=Pressures(signal, (1,)))
     low = steps([0.0], [np.full(2 * LINKS, -5.0)])
     with pytest.raises(InputError, match="is -5 Pa"):
         simulate(arm, still, times, pressure=Pressures(low, (1,)))

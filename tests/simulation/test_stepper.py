@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError
-from giajax.mechanics.arm import Contact, chain
+from giajax.mechanics.arm import Contact, takeichi_20m
 from giajax.mechanics.obstacles import Plane
 from giajax.schema.parameters import replace
 from giajax.simulation import Stepper, logged, simulate
@@ -58,7 +58,7 @@ LONGER = ("lagging muscles", "ground")
     "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind in LONGER)) for kind in ARMS]
 )
 def test_decisions_on_the_way_are_a_log_known_before(kind):
-    arm = chain(3, **({"parameters": STIFF} | ARMS[kind]))
+    arm = takeichi_20m(3, **({"parameters": STIFF} | ARMS[kind]))
     commands, wind = operated(), np.array([0.3, 0.5, 0.0])
     command = logged(TIMES, commands)
     expected = simulate(arm, command, TIMES, wind=wind, solver="springs5", rtol=1e-9, atol=1e-9)
@@ -74,7 +74,7 @@ def test_decisions_on_the_way_are_a_log_known_before(kind):
 
 
 def test_one_at_a_time_is_all_at_once():
-    stepper, commands = Stepper(chain(3, parameters=STIFF), INTERVAL, 2), operated()
+    stepper, commands = Stepper(takeichi_20m(3, parameters=STIFF), INTERVAL, 2), operated()
     moment = stepper.start()
     for command in commands[1:]:
         moment = stepper.advance(moment, command)
@@ -85,7 +85,7 @@ def test_one_at_a_time_is_all_at_once():
 
 def test_a_wind_comes_up_linearly():
     """As a signal of two knots does, from one interval to the next."""
-    arm = chain(3, parameters=STIFF)
+    arm = takeichi_20m(3, parameters=STIFF)
     stepper = Stepper(arm, INTERVAL, 4)
     moment = stepper.start(wind=np.zeros(3))
     winds = np.outer(np.minimum(TIMES, 1.0), [0.0, 1.0, 0.5])
@@ -99,7 +99,7 @@ def test_a_wind_comes_up_linearly():
 
 def test_derivatives_are_those_of_the_simulation():
     """By the command and by the stiffness, through all decisions."""
-    arm, commands = chain(3, parameters=STIFF), jnp.asarray(operated())
+    arm, commands = takeichi_20m(3, parameters=STIFF), jnp.asarray(operated())
 
     def last(scale, stiffness):
         moved = replace(arm, {"joints.yaw_stiffness": stiffness})
@@ -114,7 +114,7 @@ def test_derivatives_are_those_of_the_simulation():
 
 
 def test_what_cannot_be_stepped_is_refused():
-    arm = chain(3)
+    arm = takeichi_20m(3)
     with pytest.raises(InputError, match=r"the interval is 0\.0 s: give one positive number"):
         Stepper(arm, 0.0)
     with pytest.raises(InputError, match="an interval has 0 steps"):
@@ -136,7 +136,7 @@ def test_what_cannot_be_stepped_is_refused():
 def test_a_tolerance_makes_steps_as_short_as_they_need_be():
     """An interval in which equal steps would jump onto a stiff ground."""
     contact = Contact(obstacles=(Plane(centre=[0.0, 0.0, -0.5]),), pressure=2000.0, friction=0.5)
-    arm = chain(3, contact=contact, gravity=9.81, parameters=STIFF)
+    arm = takeichi_20m(3, contact=contact, gravity=9.81, parameters=STIFF)
     commands, times = operated()[::3], TIMES[::3]
     found = simulate(arm, logged(times, commands), times, solver="springs5", rtol=1e-9, atol=1e-9)
     errors = {}
@@ -150,4 +150,4 @@ def test_a_tolerance_makes_steps_as_short_as_they_need_be():
 
 def test_a_tolerance_is_positive():
     with pytest.raises(InputError, match=r"the tolerance is 0\.0: give a positive number"):
-        Stepper(chain(2), 0.1, tolerance=0.0)
+        Stepper(takeichi_20m(2), 0.1, tolerance=0.0)

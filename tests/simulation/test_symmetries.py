@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from giajax.mechanics.arm import chain, takeichi_20m
+from giajax.mechanics.arm import takeichi_20m
 from giajax.schema.parameters import get, replace
 from giajax.simulation import joint_ramps, joint_steps, simulate
 
@@ -38,8 +38,8 @@ def test_the_direction_of_the_base_is_nothing_without_gravity():
     turn = np.array([0.3, 1.4, -2.0])
     matrix = Rotation.from_rotvec(turn).as_matrix()
     wind = np.array([0.2, 0.1, 0.3])
-    level = move(chain(LINKS), wind=wind)
-    turned = move(chain(LINKS, base_rotation=turn), wind=matrix @ wind)
+    level = move(takeichi_20m(LINKS), wind=wind)
+    turned = move(takeichi_20m(LINKS, base_rotation=turn), wind=matrix @ wind)
     assert_allclose(turned.angles, level.angles, atol=1e-7)
     assert_allclose(turned.tip, level.tip @ matrix.T, atol=1e-7)
 

@@ -23,7 +23,7 @@ COMMANDS = {"joint01_command": 0.6 * RAMP, "joint02_command": -0.5 * RAMP}
 
 
 def arm(**options):
-    return ArmModel(giajax.chain(small_arm.LINKS, **options))
+    return ArmModel(giajax.takeichi_20m(small_arm.LINKS, **options))
 
 
 def recorded(truth, seed=0):

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..mechanics.arm import Arm, PointMasses, bodies, chain, lift
+from ..mechanics.arm import Arm, bodies, chain, lift, six_points
 from ..runtime.text import InputError, one_of
 
 if TYPE_CHECKING:
@@ -26,9 +26,6 @@ AIR = "air.py"
 """The Python file beside an exported arm, which is `_mujoco_air.py` of this folder."""
 
 _ON_LINE = 1e-9  # of the length of the arm: how far a joint may lie off the line of the others
-_ROUND = 1e-9  # of the inertia of a link: how far it may be from one that is round about the link
-# Of the mass of a link that is not round: what is left to the link beside its point masses.
-_BARE = 1e-9
 
 
 class ReadArm(NamedTuple):
@@ -112,7 +109,11 @@ def read_mjcf(
             f"{path}: no geom says how thick the link of the joint '{names[joint]}' is: "
             "give the diameter of the links"
         )
-    points, link_mass, lateral = _points(parts)
+    mass, centre, inertia = (np.array(each) for each in zip(*parts, strict=True))
+    try:
+        mass, axial, transverse, points = six_points(mass, centre, inertia)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     if points is not None:
         which = ", ".join(str(link) for link in dict.fromkeys(points.links))
         lost.append(f"links that are not round about their axis are six points each: {which}")
@@ -122,10 +123,10 @@ def read_mjcf(
         len(links),
         length=length,
         diameter=thick if diameter is None else diameter,
-        mass=link_mass,
-        centre_of_mass=[part.centre[0] for part in parts],
-        inertia_transverse=lateral[:, 1],
-        inertia_axial=lateral[:, 0],
+        mass=mass,
+        centre_of_mass=centre[:, 0],
+        inertia_transverse=transverse,
+        inertia_axial=axial,
         joint_axes=axes.tolist(),
         joint_laws=("end_stops",) if "joints.laws.end_stops.lower" in joints else (),
         base_rotation=Rotation.from_matrix(world @ frame).as_rotvec(),
@@ -257,36 +258,6 @@ def _body(
         inertia += turned @ np.diag(model.body_inertia[body]) @ turned.T
         inertia += each * (place @ place * np.eye(3) - np.outer(place, place))
     return _Part(float(mass.sum()), centre, inertia)
-
-
-def _points(parts: list[_Part]) -> tuple[PointMasses | None, Array, Array]:
-    """Links that are not round as points; the masses of all links, and their moments of inertia."""
-    links, rows, mass, moments = [], [], [], []
-    for link, part in enumerate(parts, start=1):
-        moment = np.diag(part.inertia)
-        scale = moment.sum()
-        uneven = np.abs(part.inertia - np.diag(moment)).max() + abs(moment[1] - moment[2])
-        offset = np.linalg.norm(part.centre[1:])
-        if uneven <= _ROUND * scale and part.mass * offset**2 <= _ROUND**2 * scale:
-            mass.append(part.mass)
-            moments.append(moment)
-            continue
-        # Two points on each principal axis, whose second moments are those of the body.
-        left = part.mass * _BARE
-        each = (part.mass - left) / 6
-        principal, axes = np.linalg.eigh(part.inertia)
-        second = np.maximum(principal.sum() / 2 - principal, 0)
-        for axis, reach in zip(axes.T, np.sqrt(second / (2 * each)), strict=True):
-            rows += [(each, *(part.centre + sign * reach * axis)) for sign in (-1, 1)]
-            links += [link, link]
-        mass.append(left)
-        moments.append(np.full(3, _BARE * scale))
-    if not rows:
-        return None, np.array(mass), np.array(moments)
-    import jax.numpy as jnp
-
-    columns = dict(zip(("mass", "position", "left", "up"), jnp.asarray(rows).T, strict=True))
-    return PointMasses(links=tuple(links), **columns), np.array(mass), np.array(moments)
 
 
 def _corners(model: "mujoco.MjModel", data: "mujoco.MjData", link: int) -> Array:

@@ -45,7 +45,8 @@ def mjcf(
 
     if source.suffix.lower() in _THEIRS:
         read = read_mjcf(source, diameter=diameter)
-        section, values = arm_to_definition(read.arm), parameter_values(read.arm)
+        section = {"preset": "chain", **arm_to_definition(read.arm)}
+        values = parameter_values(read.arm)
         stated = {path: value for path, value in values.items() if path in read.stated}
         section["parameters"] = {**section.get("parameters", {}), **stated}
         lost, text = read.lost, to_toml({"arm": section})

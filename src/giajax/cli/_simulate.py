@@ -25,7 +25,7 @@ from ._commands import (
     failed_simulation,
     origin,
 )
-from ._model import definition_of, model_of
+from ._model import arm_of, definition_of, model_of
 from ._values import (
     NUMBER,
     Values,
@@ -160,7 +160,7 @@ def definition_from_options(arm: Path | None, links: int | None, wind: str | Non
     from ..recordings import Definition
     from ..schema import ARM
 
-    definition = Definition() if arm is None else Definition.load(arm)
+    definition = arm_of(arm)
     if definition.model not in (None, ARM.name):
         raise InputError(f"{arm} describes a {definition.model}: give the TOML file of an arm")
     if links is not None:

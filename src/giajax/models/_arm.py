@@ -38,6 +38,7 @@ from ..simulation import (
 from ._arm_conditions import (
     arm_variants,
     controller_conditions,
+    preset_conditions,
     scale_conditions,
     sensor_conditions,
 )
@@ -427,6 +428,8 @@ class ArmModel(AbstractModel):
         sentences = scale_conditions(self, self.arm, free, runs)
         sentences += controller_conditions(self.arm, free, runs)
         sentences += sensor_conditions(self, free, runs)
+        own = [run for run in runs if run.model == self.kind]
+        sentences += preset_conditions(self.arm, free, own)
         for run in runs:
             pixels = [name for name in run.observations if run.channels[name].quantity == "pixel"]
             if run.model == self.kind and pixels:

@@ -7,10 +7,19 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ..mechanics.arm import STANDARD_GRAVITY, Air, Arm, Buoyancy, bodies, trimmed
+from ..mechanics.arm import STANDARD_GRAVITY, Air, Arm, Buoyancy, bodies, named_axes, trimmed
 from ..recordings import Run
 from ..runtime.text import InputError
-from ..schema import AIR, BUOYANCY, DRIVE, JOINT_MEMORY, InitialSection
+from ..schema import (
+    AIR,
+    BUOYANCY,
+    DRIVE,
+    JOINT_MEMORY,
+    ArmSection,
+    InitialSection,
+    from_default_preset,
+    preset_sentence,
+)
 from ..schema.parameters import declared, find, get, replace
 from ._protocol import AbstractModel
 
@@ -77,6 +86,21 @@ _SENSORS: dict[str, str] = {
     "encoder.delay": _COMMANDED,
     "encoder.offset": "counted from the commanded angle 0, at which the joints are straight",
 }
+
+
+def preset_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
+    """That held numbers are those of a preset because the sidecars of runs name none."""
+    fitted = {path.partition("[")[0] for path in free}
+    taken = from_default_preset(runs[0].definition.section(ArmSection)) if runs else {}
+
+    def is_taken(path: str, value: Any) -> bool:
+        # A model that was built by hand has its own.
+        if path == "joint_axes":
+            return arm.joints.axes == named_axes(value, arm.count)
+        return path not in fitted and bool(np.all(np.asarray(get(arm, path)) == value))
+
+    held = [path for path, value in taken.items() if is_taken(path, value)]
+    return [preset_sentence(held)] if held else []
 
 
 def scale_conditions(

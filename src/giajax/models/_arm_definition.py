@@ -170,6 +170,10 @@ def arm_from_definition(definition: Definition) -> Arm:
             others.setdefault(path, value)
     if others:
         changes["parameters"] = others
+    if "link_inertia_kg_m2" in keys:
+        changes["inertia"] = keys["link_inertia_kg_m2"]
+        # A sidecar that giajax wrote has these, too.
+        changes |= {"inertia_transverse": None, "inertia_axial": None}
     if "muscles" in keys:
         changes |= {"muscles": keys["muscles"], "pair": _pair(section)}
     if "point_masses" in keys:

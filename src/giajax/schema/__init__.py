@@ -9,6 +9,8 @@ from ._arm import (
     INCLINATION as INCLINATION,
     TENSION as TENSION,
     check_obstacles as check_obstacles,
+    from_default_preset as from_default_preset,
+    preset_sentence as preset_sentence,
 )
 from ._arm_sections import (
     MUSCLE_KEYS as MUSCLE_KEYS,
@@ -103,6 +105,7 @@ from ._quantities_arm import (
     LANDMARK as LANDMARK,
     LINKS as LINKS,
     MARKER as MARKER,
+    NO_NEUTRAL as NO_NEUTRAL,
     PINHOLE as PINHOLE,
     POINT_MASSES as POINT_MASSES,
     PORTS as PORTS,

@@ -1,6 +1,7 @@
 """An arm: from joint commands, torques and wind to positions and joint angles."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ._arm_sections import (
     SensorsSection,
     WindSection,
 )
+from ._joint import GEOMETRY
 from ._kind import (
     KINDS,
     ChannelKind,
@@ -25,7 +27,7 @@ from ._kind import (
     RecordedRun,
     SectionTemplate,
 )
-from ._quantities_arm import CONTACT
+from ._quantities_arm import AIR, BASE, CONTACT, NO_NEUTRAL
 
 PRESSURES = ("joint_pressure_first", "joint_pressure_second")
 """Rows of the column table: of the muscle towards which a positive angle bends, and the other."""
@@ -76,6 +78,29 @@ def _with_muscles(section: ArmSection) -> Callable[[int | None], bool] | None:
 DEFAULT_PRESET = "takeichi_20m"
 DEFAULT_LINKS = 20
 
+
+def from_default_preset(section: ArmSection) -> dict[str, Any]:
+    """What a section leaves to the default preset, which it does not name: values by path.
+
+    That is what has no neutral value, or has another one in the preset.
+    """
+    if section.preset is not None:
+        return {}
+    stated = {*section.values(), *(path.partition("[")[0] for path in section.parameters or {})}
+    every = (*NO_NEUTRAL, BASE.gravity, AIR.drag_coefficient)
+    taken: dict[str, Any] = {each.path: each.default for each in every if each.path not in stated}
+    return taken | ({"joint_axes": "pitch_yaw"} if section.joint_axes is None else {})
+
+
+def preset_sentence(taken: Collection[str], where: str = "[arm] names no preset") -> str:
+    """That an arm is that of the default preset in what is not stated, and how to name another."""
+    what = ", ".join(taken) if len(taken) < len(NO_NEUTRAL) else "the constants"
+    return (
+        f"{where}: {what} of the preset {DEFAULT_PRESET} are assumed; name a preset in [arm], such "
+        'as "chain" for an arm of your own'
+    )
+
+
 IMU_RATE = ChannelKind(
     "imu_rate", "imuNN_gyro_x", "angular_velocity", "output", noise="rate_deg_per_s"
 )
@@ -121,7 +146,7 @@ def arm_template(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
     numbered = [channel for channel in channels if channel.kind != "mark_pixel"]
     largest = max((channel.index or 0 for channel in numbered), default=0)
     commanded = bool(rows & set(COMMANDS))
-    arm = dict.fromkeys(ArmSection.model_fields)
+    arm = dict.fromkeys(ArmSection.model_fields) | {"preset": DEFAULT_PRESET}
     del arm["wind_field"]  # giajax has none that could be offered
     if largest > DEFAULT_LINKS:
         arm["links"] = largest
@@ -255,10 +280,15 @@ def _check_motion(content: RecordedRun, naming: Naming, links: int | None) -> No
 def _notes(content: RecordedRun, sidecar: bool) -> list[str]:
     definition, notes = content.definition, []
     rows = {channel.kind for channel in content.channels.values()}
-    if not definition.section(ArmSection).contents():
+    section = definition.section(ArmSection)
+    if taken := from_default_preset(section):
         where = "no [arm] in the sidecar" if sidecar else "no sidecar"
-        notes.append(f"{where}: the constants of the preset {DEFAULT_PRESET} are assumed")
-    if rows & set(PRESSURES) and definition.section(ArmSection).muscles is None:
+        about = () if section.contents() else (where,)
+        notes.append(preset_sentence(taken, *about))
+    unknown = [each.path for each in GEOMETRY if each.path not in (section.parameters or {})]
+    if section.preset == "chain" and section.muscles and unknown:
+        notes.append(f"muscles as giajax assumes them for the paper's arm: {', '.join(unknown)}")
+    if rows & set(PRESSURES) and section.muscles is None:
         notes.append(
             "pressures are recorded, but no joint has muscles: state muscles in [arm], such as "
             'muscles = "pitch"'
@@ -277,7 +307,7 @@ def _notes(content: RecordedRun, sidecar: bool) -> list[str]:
         notes += [f"{' and '.join(absent)} not recorded: taken as zero"] if absent else []
     elif "link_wind" in rows:
         columns = sum(each.kind == "link_wind" for each in content.channels.values())
-        links = links_of(definition.section(ArmSection))
+        links = links_of(section)
         if links is None or columns < 3 * links:
             notes.append("wind of links or along axes that are not recorded: taken as zero")
     elif definition.section(WindSection).velocity_m_per_s is None and (

@@ -232,6 +232,7 @@ class PointMass(Section):
     )
 
 
+_SIX = Annotated[list[Finite], Field(min_length=6, max_length=6)]
 _TWO = Annotated[list[Positive], Field(min_length=2, max_length=2)]
 _THREE = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 _FOUR = Annotated[list[Positive], Field(min_length=4, max_length=4)]
@@ -385,6 +386,12 @@ class ArmSection(_Surroundings):
     trim: bool | None = key(
         "true or false", "hang the trim weights that make each link float", preset=False
     )
+    link_inertia_kg_m2: _SIX | list[_SIX] | None = key(
+        "six numbers (xx, yy, zz, xy, xz, yz) or a list of such rows, one a link",
+        "inertia about the centre of mass of a link that is not round about its axis; wins over "
+        "the transverse and the axial one",
+        example=[1e-4, 5e-3, 5.1e-3, 1e-4, 0.0, 0.0],
+    )
     point_masses: list[PointMass] | None = key(
         "a list of tables with link, mass_kg and position_m",
         "bodies fixed to links",
@@ -485,8 +492,12 @@ class ArmSection(_Surroundings):
 
     def lists(self) -> dict[str, list[Any]]:
         """The lists that have one value for each link or joint, by key."""
-        axes = {"joint_axes": self.joint_axes} if isinstance(self.joint_axes, list) else {}
-        return {**axes, **each_of(self)}
+        lists = {"joint_axes": self.joint_axes, "link_inertia_kg_m2": self.link_inertia_kg_m2}
+        own = {name: value for name, value in lists.items() if isinstance(value, list)}
+        one = self.link_inertia_kg_m2 and not isinstance(self.link_inertia_kg_m2[0], list)
+        if one:
+            del own["link_inertia_kg_m2"]
+        return {**own, **each_of(self)}
 
     def check_lists(self, links: int | None) -> None:
         """Raise `ValueError` if a list has another length than `links` (None: than another)."""

@@ -241,6 +241,10 @@ JOINT_MEMORY = _Memory("joints.memory")
 JOINT_STOPS = _Stops("joints.stops")
 INITIAL = _Initial("initial")
 
+NO_NEUTRAL = (LINKS.length, LINKS.diameter, LINKS.mass,
+              JOINTS.pitch_stiffness, JOINTS.yaw_stiffness, JOINTS.damping)  # fmt: skip
+"""What an arm that somebody describes must state, because no number of it goes without saying."""
+
 
 class _Contact(Group):
     pressure = guess(

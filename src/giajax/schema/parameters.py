@@ -24,7 +24,7 @@ INLINE = "giajax.inline"
 
 
 @overload
-def parameter(declared: Declaration, /) -> Any: ...
+def parameter(declared: Declaration, /, *, default: bool = ...) -> Any: ...
 @overload
 def parameter(
     declared: float,
@@ -43,7 +43,7 @@ def parameter(
     each: bool = False,
     source: str = "",
 ) -> Any: ...
-def parameter(declared: Declaration | float, /, **about: Any) -> Any:
+def parameter(declared: Declaration | float, /, *, default: bool = True, **about: Any) -> Any:
     """Field of an Equinox module that is a parameter.
 
     The value is converted to an array of the default floating-point type, strongly typed: a
@@ -52,6 +52,7 @@ def parameter(declared: Declaration | float, /, **about: Any) -> Any:
     Arguments:
         declared: the declaration, of `giajax.schema`; or a default (SI), for a model of
             your own, with the rest of its declaration as keywords.
+        default: whether an owner that does not give it has the default; else it must be given.
         about: the rest of a declaration; `unit` and `doc` are needed.
 
     Example:
@@ -67,11 +68,10 @@ def parameter(declared: Declaration | float, /, **about: Any) -> Any:
     """
     if not isinstance(declared, Declaration):
         declared = Declaration(declared, **about)
-    return eqx.field(
-        converter=_converter(declared),
-        default=None if declared.optional else declared.default,
-        metadata={DECLARED: declared},
-    )
+    about = {"converter": _converter(declared), "metadata": {DECLARED: declared}}
+    if default:
+        about["default"] = None if declared.optional else declared.default
+    return eqx.field(**about)
 
 
 def _converter(declaration: Declaration) -> Callable[[Any], Any]:

@@ -21,7 +21,7 @@ from websockets.sync.client import connect
 from browsing import opened
 from giajax import InputError
 from giajax.apps.driving import TAKEN_OVER, Cockpit, PadMapping, Session, TipCamera
-from giajax.mechanics.arm import Contact, chain
+from giajax.mechanics.arm import Contact, takeichi_20m
 from giajax.mechanics.obstacles import WallWithOpening
 from giajax.models import ArmModel
 from giajax.recordings import read_run
@@ -36,7 +36,7 @@ navigator.getGamepads = () => [window.pad];
 
 def arm_before_a_wall():
     wall = WallWithOpening(centre=[6.0, 0.0, 0.0], opening=[1.0, 1.0], thickness=0.2)
-    return ArmModel(chain(3, contact=Contact(obstacles=(wall,))))
+    return ArmModel(takeichi_20m(3, contact=Contact(obstacles=(wall,))))
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from giajax.apps.control import Compensator
 from giajax.apps.driving import Compensation, PadMapping, Session, TipCamera, read_pad, replay
 from giajax.apps.synthetic import gusts
 from giajax.cli import main
-from giajax.mechanics.arm import chain, tip_position
+from giajax.mechanics.arm import takeichi_20m, tip_position
 from giajax.mechanics.hysteresis import PrandtlIshlinskii
 from giajax.models import ArmModel
 from giajax.recordings import Channel, read_run
@@ -22,7 +22,7 @@ STIFF = {"joints.pitch_stiffness": 6.0, "joints.yaw_stiffness": 6.0, "joints.dam
 
 @pytest.fixture(scope="module")
 def model():
-    return ArmModel(chain(4, parameters=STIFF))
+    return ArmModel(takeichi_20m(4, parameters=STIFF))
 
 
 def pad(duration, rows=20):
@@ -100,19 +100,19 @@ def test_gusts_are_switched(model):
 
 def test_what_joints_remember_is_left_out():
     stops = {"joints.stops.strength": [0.5, 1.0], "joints.stops.yield_angle": [0.01, 0.05]}
-    remembering = ArmModel(chain(2, parameters=STIFF | stops))
+    remembering = ArmModel(takeichi_20m(2, parameters=STIFF | stops))
     table = pad(3.0)
     ends = []
     for memory in (True, False):
         session = Session(remembering, PadMapping.usual(2), memory=memory)
         replay(session, table)
         ends.append(session.pose.angles)
-    plain = Session(ArmModel(chain(2, parameters=STIFF)), PadMapping.usual(2))
+    plain = Session(ArmModel(takeichi_20m(2, parameters=STIFF)), PadMapping.usual(2))
     replay(plain, table)
     assert_allclose(ends[1], plain.pose.angles, atol=1e-6)
     assert np.abs(ends[0] - ends[1]).max() > 1e-3
     with pytest.raises(InputError, match="nothing can be left out"):
-        Session(ArmModel(chain(2)), memory=False)
+        Session(ArmModel(takeichi_20m(2)), memory=False)
 
 
 def test_compensated_commands_undo_a_joints_hysteresis():
@@ -203,7 +203,7 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
 def test_a_drive_gives_the_arm_back():
     """Drag and stiffness of the arm that was driven, from a camera's view of it."""
     truth = {"air.drag_coefficient": 1.3, "joints.pitch_stiffness": 4.0, "joints.damping": 0.5}
-    model = ArmModel(giajax.replace(chain(4, parameters=STIFF), truth))
+    model = ArmModel(giajax.replace(takeichi_20m(4, parameters=STIFF), truth))
     session = Session(model)
     replay(session, pad(25.0))
     channels = [f"{where}_{axis}" for where in ("link02", "tip") for axis in "xyz"]

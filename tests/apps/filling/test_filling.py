@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import giajax
-from giajax import InputError, chain, fill, replace
+from giajax import InputError, fill, replace
 from giajax.apps.filling import State, filling_curve, rates
 from giajax.mechanics.inflation import Filling, Ports, Supply
 from giajax.schema import FillingSection
@@ -22,7 +22,7 @@ FLOW = 61e-3 / 60
 @functools.cache
 def small(kind="flow", **values):
     """Three links, and what fills them within minutes."""
-    made = Filling(arm=chain(3), supply=Supply(kind=kind))
+    made = Filling(arm=takeichi_20m(3), supply=Supply(kind=kind))
     return replace(made, {path.replace("__", "."): value for path, value in values.items()})
 
 
@@ -39,7 +39,7 @@ def paper():
 def test_one_bag_is_full_after_its_volume_over_the_flow():
     """To 1e-9, and in proportion on the way; a link, and three that share their gas."""
     for links, shared in ((1, ()), (3, ((1, 2, 3),))):
-        found = fill(Filling(arm=chain(links), shared=shared))
+        found = fill(Filling(arm=takeichi_20m(links), shared=shared))
         expected = links * LINK / FLOW
         assert found.duration == pytest.approx(expected, rel=1e-9)
         np.testing.assert_allclose(found.full, found.duration)
@@ -96,7 +96,7 @@ def test_lift_and_stiffness_grow_with_fullness():
 
 
 def test_links_that_are_not_welded_apart_fill_together():
-    found = fill(Filling(arm=chain(3), shared=((2, 3),)))
+    found = fill(Filling(arm=takeichi_20m(3), shared=((2, 3),)))
     assert found.full[1] == found.full[2] > found.full[0]
     np.testing.assert_array_equal(found.pressure[:, 1], found.pressure[:, 2])
     assert found.filling.bags == 2
@@ -117,7 +117,9 @@ def test_a_ladder_in_the_laminar_range_is_a_network_of_resistors():
 
 def test_a_disturbed_ladder_settles_as_its_network_does():
     """Four tight bags, one with more gas: by scipy, against the exponential of the network."""
-    made = Filling(arm=chain(4), ports=Ports(diameter=2e-3, length=0.3), supply=Supply(flow=1e-30))
+    made = Filling(
+        arm=takeichi_20m(4), ports=Ports(diameter=2e-3, length=0.3), supply=Supply(flow=1e-30)
+    )
     more = 1e-7
     begin = np.array([more, 0, 0, 0])
 
@@ -220,7 +222,7 @@ def test_every_key_changes_something(key):
     kind, value = CHANGES[key]
     fine = {"nozzle_diameter_mm": 0.2} if kind == "bottle" else {}
     stated = {"supply": kind, **fine, key: value}
-    arm = chain(3)
+    arm = takeichi_20m(3)
     before, after = (
         fill(Filling.from_section(FillingSection.model_validate(section), arm))
         for section in ({"supply": kind, **fine}, stated)
@@ -232,8 +234,8 @@ def test_every_key_changes_something(key):
 @pytest.mark.quick
 def test_a_definition_goes_to_the_filling_and_back():
     stated = {key: value for key, (_, value) in CHANGES.items()} | {"port_diameter_mm": [8.0]}
-    made = Filling.from_section(FillingSection.model_validate(stated), chain(3))
-    again = Filling.from_section(FillingSection.model_validate(made.definition()), chain(3))
+    made = Filling.from_section(FillingSection.model_validate(stated), takeichi_20m(3))
+    again = Filling.from_section(FillingSection.model_validate(made.definition()), takeichi_20m(3))
     assert made.supply.kind == "regulator"
     assert again.definition() == made.definition()
     assert set(made.definition()) == set(FillingSection.model_fields)
@@ -256,7 +258,7 @@ BAD = {
 def test_a_filling_that_cannot_be_is_refused(case):
     about, sentence = BAD[case]
     with pytest.raises(InputError, match=sentence):
-        Filling(arm=chain(3), **about)
+        Filling(arm=takeichi_20m(3), **about)
 
 
 def test_bad_numbers_are_refused():
@@ -264,11 +266,11 @@ def test_bad_numbers_are_refused():
         Supply(kind="pump")
     for path, value in (("ports.diameter", 0.0), ("supply.flow", -1.0), ("gas.density", np.nan)):
         with pytest.raises(InputError, match=f"{path} = .* is outside its bounds: choose a value"):
-            fill(replace(Filling(arm=chain(3)), {path: value}))
+            fill(replace(Filling(arm=takeichi_20m(3)), {path: value}))
     with pytest.raises(InputError, match="the limit is -1 s: give a positive number of seconds"):
         fill(limit=-1)
     with pytest.raises(InputError, match="share one bag, which has no ports: leave the curve out"):
-        filling_curve(Filling(arm=chain(1)))
+        filling_curve(Filling(arm=takeichi_20m(1)))
     with pytest.raises(InputError, match="the duration is 0 s: give a positive number"):
         filling_curve(duration=0)
     with pytest.raises(InputError, match="there are no diameters: give at least one"):

@@ -10,7 +10,7 @@ from scipy.constants import R
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from giajax import chain, replace
+from giajax import replace, takeichi_20m
 from giajax.apps.filling import State, rates
 from giajax.mechanics.inflation import (
     Filling,
@@ -181,7 +181,7 @@ def test_a_supply_feeds_what_its_nozzle_lets_through():
 def test_tight_bags_in_a_laminar_ladder_are_its_linear_network():
     """The Jacobian of the rates at rest: conductances of the ports over capacities of the bags."""
     diameters = np.array([2e-3, 3e-3, 2.5e-3])
-    made = Filling(arm=chain(4, length=[1.0, 0.8, 1.2, 0.9]))
+    made = Filling(arm=takeichi_20m(4, length=[1.0, 0.8, 1.2, 0.9]))
     made = replace(made, {"ports.diameter": diameters, "ports.length": 0.2})
 
     def slope(share):

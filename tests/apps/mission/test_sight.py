@@ -29,7 +29,7 @@ CAMERA = Pinhole(
 
 
 def arm_before(*obstacles):
-    return giajax.chain(2, contact=Contact(obstacles=obstacles))
+    return giajax.takeichi_20m(2, contact=Contact(obstacles=obstacles))
 
 
 OPENING = opening_of(arm_before(WALL))

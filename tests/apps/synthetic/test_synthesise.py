@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from giajax import ArmModel, InputError, SimulationError, chain, model_for, read_run, write_run
+from giajax import (
+    ArmModel,
+    InputError,
+    SimulationError,
+    model_for,
+    read_run,
+    takeichi_20m,
+    write_run,
+)
 from giajax.apps.synthetic import Move, joint_moves, sampled, synthesise
 from giajax.fitting import predict
 from giajax.models import arm_from_definition
@@ -15,7 +23,7 @@ MOVES = (Move(1, 0.5, 0.5, 1.0), Move(2, -0.3, 0.77, 1.0))
 
 @pytest.fixture(scope="module")
 def model():
-    return ArmModel(chain(3))
+    return ArmModel(takeichi_20m(3))
 
 
 def rows(moves=MOVES, duration=4.0):
@@ -122,4 +130,4 @@ def test_channels_that_the_arm_does_not_have(model):
 def test_a_simulation_that_fails():
     times, inputs = rows()
     with pytest.raises(SimulationError, match="step limit"):
-        synthesise(ArmModel(chain(3), max_steps=5), times, inputs, ["tip_z"])
+        synthesise(ArmModel(takeichi_20m(3), max_steps=5), times, inputs, ["tip_z"])

@@ -123,7 +123,7 @@ def test_a_viser_that_listens_elsewhere_is_not_used(show, monkeypatch):
 
 
 def test_sliders_move_the_arm(page):
-    chain = giajax.chain(2)
+    chain = giajax.takeichi_20m(2)
     viewer = Viewer([Posable(ArmModel(chain), "arm")])
     try:
         page.open(viewer.address)

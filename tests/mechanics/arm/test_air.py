@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import giajax.mechanics.arm
-from giajax.mechanics.arm import _drag as _cylinder, chain, takeichi_20m
+from giajax.mechanics.arm import _drag as _cylinder, takeichi_20m
 from giajax.schema.parameters import replace
 from peers.arms import full_arm, random_states
 
@@ -35,7 +35,7 @@ POINTS = Path(__file__).parents[3] / "data" / "recorded" / "cylinder_cd"
 
 def one_link(*, axes=("yaw",), **options):
     parameters = options.pop("parameters", {})
-    return chain(len(axes), joint_axes=list(axes), parameters=parameters, **options)
+    return takeichi_20m(len(axes), joint_axes=list(axes), parameters=parameters, **options)
 
 
 def test_drag_along_a_link_that_turns_about_its_end():
@@ -172,7 +172,7 @@ def test_a_link_is_heavier_across_itself_than_along():
     """At the end of a lever that is as long as the links are short, M / R^2 is the moving mass."""
     lever = 1e6
     for axis, angle, share in ("yaw", np.pi / 2, 0.0), ([1, 0, 0], 0.0, 1.0):
-        arm = chain(
+        arm = takeichi_20m(
             2,
             length=[lever, LENGTH],
             diameter=[1e-12, DIAMETER],
@@ -196,7 +196,7 @@ def test_gravity_does_not_weigh_the_air_that_moves_along():
 def test_a_growing_wind_pushes_a_held_link():
     """rho V (1 + C_a) du/dt across it, rho V du/dt along it (pressure alone)."""
     gust, coefficient = 2.0, 0.7
-    arm = chain(
+    arm = takeichi_20m(
         2, joint_axes=["yaw", "yaw"], parameters={"air.added_mass_coefficient": coefficient}
     )
     still, calm = jnp.zeros(2), jnp.zeros(3)
@@ -212,7 +212,7 @@ def test_a_growing_wind_pushes_a_held_link():
 
 def test_a_wind_of_each_link_acts_on_each():
     """At rest drag is that of the link alone, and so is the push of a wind that grows."""
-    arm = chain(3, drag="strip", parameters={"air.added_mass_coefficient": 0.7})
+    arm = takeichi_20m(3, drag="strip", parameters={"air.added_mass_coefficient": 0.7})
     random = np.random.default_rng(2)
     winds, growing = random.normal(size=(2, 3, 3))
     still = jnp.zeros(3)

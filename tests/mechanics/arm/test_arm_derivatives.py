@@ -48,7 +48,15 @@ def test_no_public_function_is_left_out():
         for name in dir(mechanics)
         if callable(getattr(mechanics, name)) and name[0].islower() and name[0] != "_"
     }
-    builders = {"chain", "named_axes", "pose", "preset", "trimmed", "with_wind", *mechanics.PRESETS}
+    builders = {
+        "named_axes",
+        "pose",
+        "preset",
+        "six_points",
+        "trimmed",
+        "with_wind",
+        *mechanics.PRESETS,
+    }
     without_state = {"cylinder_drag_coefficient", "net_lift", "bodies", "lift"}
     of_memory = {"hysteresis_power"}  # in test_joint_memory
     of_muscles = {"muscle_power"}  # in test_pneumatics

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from giajax.mechanics.arm import Arm, Joints, Links, chain, preset, takeichi_20m
+from giajax.mechanics.arm import Arm, Joints, Links, preset, takeichi_20m
 from giajax.runtime.text import InputError
 
 PITCH, YAW = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)
@@ -25,7 +25,7 @@ def test_the_preset_has_the_papers_numbers():
 
 def test_a_link_is_a_thin_tube_unless_told_otherwise():
     # I_axial = m r^2; I_transverse = m r^2 / 2 + m L^2 / 12.
-    links = chain(1, length=2.0, diameter=0.4, mass=0.3).links
+    links = takeichi_20m(1, length=2.0, diameter=0.4, mass=0.3).links
     assert_allclose(links.inertia_axial, 0.3 * 0.2**2)
     assert_allclose(links.inertia_transverse, 0.3 * (0.2**2 / 2 + 2.0**2 / 12))
     assert_allclose(links.centre_of_mass, 1.0)
@@ -40,14 +40,14 @@ def test_presets_are_found_by_name():
 
 def test_the_stiffness_follows_the_kind_of_the_axis():
     axes = ["yaw", "pitch", [0, 0, -2], [0, 1, 1.01], [0, 1, 0.99], [1, 0, 0]]
-    joints = chain(6, joint_axes=axes).joints
+    joints = takeichi_20m(6, joint_axes=axes).joints
     assert_array_equal(joints.is_yaw, [True, False, True, True, False, False])
     assert_array_equal(joints.stiffness, [30.0, 3.0, 30.0, 30.0, 3.0, 3.0])
     assert_allclose(np.linalg.norm(joints.axes, axis=1), 1.0, rtol=1e-15)
 
 
 def test_numbers_may_be_given_for_all_links_or_for_each():
-    arm = chain(3, length=[1, 2, 3], mass=0.1, gravity=9.81, base_rotation=[0, 0.5, 0])
+    arm = takeichi_20m(3, length=[1, 2, 3], mass=0.1, gravity=9.81, base_rotation=[0, 0.5, 0])
     assert_array_equal(arm.links.length, [1.0, 2.0, 3.0])
     assert_array_equal(arm.links.mass, [0.1] * 3)
     assert_array_equal(arm.links.centre_of_mass, [0.5, 1.0, 1.5])
@@ -82,7 +82,7 @@ def test_numbers_may_be_given_for_all_links_or_for_each():
 )
 def test_what_cannot_be_built_is_refused(options, sentence):
     with pytest.raises(InputError) as refused:
-        chain(**{"links": 3} | options)
+        takeichi_20m(**{"links": 3} | options)
     assert sentence in str(refused.value)
 
 

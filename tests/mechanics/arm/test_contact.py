@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from giajax import InputError
 from giajax.mechanics import arm as mechanics
-from giajax.mechanics.arm import Contact, Pairs, chain, flattening, mass_matrix, pose
+from giajax.mechanics.arm import Contact, Pairs, flattening, mass_matrix, pose, takeichi_20m
 from giajax.mechanics.obstacles import Box, Plane, WallWithOpening, nearest, solids
 
 touch, touched = jax.jit(mechanics.touch), jax.jit(mechanics.touched)
@@ -29,7 +29,7 @@ SCENE = (
 
 
 def arm_among(obstacles=SCENE, links=LINKS, **about):
-    return chain(links, contact=Contact(obstacles=obstacles, **about))
+    return takeichi_20m(links, contact=Contact(obstacles=obstacles, **about))
 
 
 @eqx.filter_jit
@@ -239,7 +239,7 @@ def test_boxes_side_by_side_press_as_one_wall():
 
     def arm(obstacle):
         moved = dataclasses.replace(obstacle, centre=jnp.asarray([1.0, 0.8, -0.24]))
-        return chain(2, joint_axes=["yaw", "pitch"], contact=Contact(obstacles=(moved,)))
+        return takeichi_20m(2, joint_axes=["yaw", "pitch"], contact=Contact(obstacles=(moved,)))
 
     # Across the seams at x = 0.85 and 1.15 m, the last also across that at y = 0.65 m; the opening
     # between them is out of reach.

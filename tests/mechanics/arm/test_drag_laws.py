@@ -15,9 +15,9 @@ from giajax.mechanics.arm import (
     AbstractDragLaw,
     CentreDrag,
     StripDrag,
-    chain,
     check_drag_law,
     drag_force,
+    takeichi_20m,
 )
 from giajax.runtime.arrays import safe_norm, scaled
 from giajax.schema.parameters import declared, default_free, parameter
@@ -65,16 +65,16 @@ def test_a_law_with_the_formula_of_strip_drag_is_strip_drag():
     rng = np.random.default_rng(0)
     angles, rates = jnp.asarray(rng.normal(size=(2, 3)))
     wind = jnp.asarray([1.0, -0.5, 0.2])
-    of_giajax = chain(3, drag="strip", strip_points=4)
+    of_giajax = takeichi_20m(3, drag="strip", strip_points=4)
     expected = drag_force(of_giajax, angles, rates, wind)
-    for arm in (chain(3, drag=Square()), chain(3, drag="Square")):
+    for arm in (takeichi_20m(3, drag=Square()), takeichi_20m(3, drag="Square")):
         assert_allclose(drag_force(arm, angles, rates, wind), expected, rtol=1e-13)
-    limp = chain(3, drag=Square(more=0.4), parameters={"links.fullness": 0.5})
+    limp = takeichi_20m(3, drag=Square(more=0.4), parameters={"links.fullness": 0.5})
     assert_allclose(drag_force(limp, angles, rates, wind), 1.2 * expected, rtol=1e-13)
 
 
 def test_its_parameters_are_declared_as_all_others():
-    arm = chain(2, drag="Square", parameters={"air.law.more": 0.1})
+    arm = takeichi_20m(2, drag="Square", parameters={"air.law.more": 0.1})
     assert {"air.law.coefficient", "air.law.more"} <= set(declared(arm))
     assert "air.law.coefficient" in default_free(arm)
     # What the law does not use is not fitted.
@@ -82,10 +82,10 @@ def test_its_parameters_are_declared_as_all_others():
 
 
 def test_an_arm_with_a_law_goes_through_its_definition():
-    model = giajax.ArmModel(chain(2, drag="Square", parameters={"air.law.more": 0.1}))
+    model = giajax.ArmModel(takeichi_20m(2, drag="Square", parameters={"air.law.more": 0.1}))
     again = giajax.ArmModel.from_definition(model.definition())
     assert eqx.tree_equal(again.arm.air, model.arm.air)
-    other = giajax.ArmModel(chain(2, drag=Choosing(power=1)))
+    other = giajax.ArmModel(takeichi_20m(2, drag=Choosing(power=1)))
     with pytest.raises(InputError, match="Choosing has power = 1, which no file can state"):
         other.definition()
 
@@ -93,11 +93,11 @@ def test_an_arm_with_a_law_goes_through_its_definition():
         """Nobody has registered it."""
 
     with pytest.raises(InputError, match="the drag law Local is not registered"):
-        giajax.ArmModel(chain(2, drag=Local())).definition()
+        giajax.ArmModel(takeichi_20m(2, drag=Local())).definition()
 
 
 def test_what_is_left_of_a_law_are_the_laws_of_giajax_as_other_choices():
-    model = giajax.ArmModel(chain(2, drag="Square"))
+    model = giajax.ArmModel(takeichi_20m(2, drag="Square"))
     others = giajax.models.capabilities.variants(model)
     for word in ("centre", "strip"):
         air = others[f"arm.drag = {word}"].arm.air
@@ -170,7 +170,7 @@ class Misled(Square):
 )
 def test_a_wrong_law_is_refused_before_anything_is_fitted(law, said):
     with pytest.raises(InputError, match=said):
-        chain(2, drag=law)
+        takeichi_20m(2, drag=law)
 
 
 def test_a_law_without_its_method_is_refused_by_its_name():
@@ -204,16 +204,18 @@ class Linear(Square):
     ids=["lift", "linear", ""],
 )
 def test_right_laws_are_taken_and_are_part_of_programs(law):
-    arm = chain(3, drag=law)
+    arm = takeichi_20m(3, drag=law)
     rates = jnp.asarray([0.1, 0.2, 0.3])
     plain = drag_force(arm, rates, rates)
     assert_allclose(jax.jit(lambda arm: drag_force(arm, rates, rates))(arm), plain, atol=1e-15)
-    assert np.all(np.isfinite(jax.jit(lambda: drag_force(chain(3, drag=law), rates, rates))()))
+    assert np.all(
+        np.isfinite(jax.jit(lambda: drag_force(takeichi_20m(3, drag=law), rates, rates))())
+    )
 
 
 def test_what_has_no_part_in_a_law_is_refused():
     for name in ("air.drag_coefficient", "air.axial_coefficient"):
         with pytest.raises(InputError, match="have no part in a law of drag of one's own"):
-            chain(2, drag="Square", parameters={name: 1.0})
+            takeichi_20m(2, drag="Square", parameters={name: 1.0})
     with pytest.raises(InputError, match="are of no law but giajax's: remove them"):
-        chain(2, drag="Square", drag_curve="cylinder")
+        takeichi_20m(2, drag="Square", drag_curve="cylinder")

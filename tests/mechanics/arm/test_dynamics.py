@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import giajax.mechanics.arm
-from giajax.mechanics.arm import chain, takeichi_20m
+from giajax.mechanics.arm import takeichi_20m
 from giajax.schema.parameters import get, replace, switched_on
 from peers.arms import general_arm, random_states
 from peers.scipy_chain import ScipyChain
@@ -88,7 +88,7 @@ def test_one_link_turns_with_its_inertia_about_the_joint():
     links = {"mass": 0.2, "length": 1.5, "centre_of_mass": 0.4}
     inertias = {"inertia_transverse": 0.03, "inertia_axial": 0.01}
     for axes, expected in ([["pitch"]], 0.03 + 0.2 * 0.16), ([[[1, 0, 0]]], 0.01):
-        arm = chain(1, **links, **inertias, joint_axes=axes[0])
+        arm = takeichi_20m(1, **links, **inertias, joint_axes=axes[0])
         assert_allclose(mass_matrix(arm, jnp.array([0.7])), [[expected]], rtol=1e-14)
 
 
@@ -150,7 +150,7 @@ def test_the_torque_that_holds_an_arm_is_the_slope_of_its_weight(arm):
 
 
 def test_a_straight_arm_hangs_its_weight_on_its_levers():
-    arm = chain(4, mass=[0.1, 0.2, 0.3, 0.4], length=2.0, centre_of_mass=0.5, gravity=9.81)
+    arm = takeichi_20m(4, mass=[0.1, 0.2, 0.3, 0.4], length=2.0, centre_of_mass=0.5, gravity=9.81)
     still = jnp.zeros(4)
     held = inverse_dynamics(arm, still, still, still)
     # Centres of mass at 0.5, 2.5, 4.5, 6.5 m; joints 1 and 3 pitch, 2 and 4 carry nothing.
@@ -205,7 +205,7 @@ def test_the_wind_blows_a_resting_arm_along():
 
 def test_an_arm_carried_along_by_the_wind_feels_none_of_it():
     # One link about a vertical axis: its centre moves with the wind at one instant.
-    arm = chain(1, joint_axes=["yaw"])
+    arm = takeichi_20m(1, joint_axes=["yaw"])
     angles, rates = jnp.zeros(1), jnp.ones(1)
     with_it = link_velocities(arm, angles, rates)[0]
     assert_allclose(drag_force(arm, angles, rates, with_it), np.zeros((1, 3)), atol=0)
@@ -262,8 +262,8 @@ def plane_states():
 def test_the_direction_of_the_base_is_nothing_without_gravity_and_wind():
     states = random_states(8, 1)
     state = (states["angles"][0], states["rates"][0], states["command"][0])
-    arm = chain(8)
-    turned = chain(8, base_rotation=[0.3, 1.4, -2.0])
+    arm = takeichi_20m(8)
+    turned = takeichi_20m(8, base_rotation=[0.3, 1.4, -2.0])
     assert_allclose(acceleration(turned, *state), acceleration(arm, *state), rtol=1e-10)
 
 
@@ -300,7 +300,7 @@ def test_a_change_of_numbers_compiles_nothing_again():
     program(replace(arm, {"air.drag_coefficient": 1.0}), angles)
     program(replace(arm, {"air.drag_coefficient": jnp.asarray(1.0)}), angles)
     program(replace(arm, {"links.mass[1]": np.float32(0.1), "gravity": 1}), angles)
-    program(chain(3, mass=1, gravity=3), angles)
+    program(takeichi_20m(3, mass=1, gravity=3), angles)
     assert len(traced) == 1
 
 

@@ -22,13 +22,13 @@ from giajax.mechanics.arm import (
     Memory,
     Spring,
     Stops,
-    chain,
     damping_power,
     drag_power,
     hysteresis_power,
     joint_torque,
     kinetic_energy,
     potential_energy,
+    takeichi_20m,
 )
 from giajax.runtime.plugins import sources_of
 from giajax.schema.parameters import declared, default_free, parameter, replace
@@ -136,14 +136,16 @@ class Snapping(AbstractJointLaw):
 
 
 def test_its_parameters_are_declared_as_all_others():
-    arm = chain(2, joint_laws=["Creep", "hardening"], parameters={"joints.laws.Creep.time": [1, 2]})
+    arm = takeichi_20m(
+        2, joint_laws=["Creep", "hardening"], parameters={"joints.laws.Creep.time": [1, 2]}
+    )
     paths = {"joints.laws.Creep.time", "joints.laws.Creep.modulus", "joints.laws.hardening.cubic"}
     assert paths <= set(declared(arm))
     assert set(default_free(arm)) >= paths - {"joints.laws.Creep.time"}
 
 
 def test_forces_of_laws_of_giajax_scale_with_all_others():
-    model = giajax.ArmModel(chain(2, joint_laws=["Creep", "hardening", "end_stops"]))
+    model = giajax.ArmModel(takeichi_20m(2, joint_laws=["Creep", "hardening", "end_stops"]))
     paths = [f"joints.laws.{path}" for path in ("hardening.cubic", "end_stops.lower")]
     (scale,) = model.conditions(paths, [])
     assert scale.startswith("joints.laws.hardening.cubic: determined only per unit of mass")
@@ -153,12 +155,14 @@ def test_forces_of_laws_of_giajax_scale_with_all_others():
 
 
 def test_an_arm_with_laws_goes_through_its_definition():
-    arm = chain(2, joint_laws=[Creep(), "end_stops"], parameters={"joints.laws.Creep.time": 0.1})
+    arm = takeichi_20m(
+        2, joint_laws=[Creep(), "end_stops"], parameters={"joints.laws.Creep.time": 0.1}
+    )
     model = giajax.ArmModel(arm)
     assert model.definition()["arm"]["joint_laws"] == ["Creep", "end_stops"]
     again = giajax.ArmModel.from_definition(model.definition())
     assert eqx.tree_equal(again.arm.joints, arm.joints)
-    assert "joint_laws" not in giajax.ArmModel(chain(2)).definition()["arm"]
+    assert "joint_laws" not in giajax.ArmModel(takeichi_20m(2)).definition()["arm"]
     # A result says what file it was made with.
     assert "test_joint_laws.py" in sources_of(model)
 
@@ -166,13 +170,13 @@ def test_an_arm_with_laws_goes_through_its_definition():
         """Nobody has registered it."""
 
     with pytest.raises(InputError, match="the joint law Local is not registered"):
-        giajax.ArmModel(chain(2, joint_laws=[Local()])).definition()
+        giajax.ArmModel(takeichi_20m(2, joint_laws=[Local()])).definition()
 
 
 def test_the_states_of_ones_own_law_follow_those_of_memory_and_stops():
     values = {"joints.memory.strength": 0.03, "joints.stops.strength": [0.1, 0.2]}
-    arm = chain(2, joint_laws=["Creep"], parameters=values)
-    plain = chain(2, parameters=values)
+    arm = takeichi_20m(2, joint_laws=["Creep"], parameters=values)
+    plain = takeichi_20m(2, parameters=values)
     rest, angles = jnp.zeros(2), jnp.asarray([0.3, -0.2])
     memory = jnp.asarray([[0.5, 0.2], [0.31, -0.2], [0.25, 0.1], [0.7, 0.8]])
     found = joint_torque(arm, angles, rest, rest, memory)
@@ -186,7 +190,7 @@ def test_a_motion_with_laws_loses_what_they_say(names):
     ends = {"lower": -0.1, "stiffness": 10.0, "damping": 0.5}
     ends = {f"joints.laws.end_stops.{name}": value for name, value in ends.items()}
     values = {"joints.damping": 0.02} | (ends if "end_stops" in names else {})
-    arm = chain(2, joint_laws=names, parameters=values)
+    arm = takeichi_20m(2, joint_laws=names, parameters=values)
     held, times = jnp.asarray([0.2, -0.1]), np.linspace(0, 2.0, 2001)
     start = (np.asarray([0.4, -0.3]), np.asarray([1.0, -2.0]))
     options = {"initial": start, "rtol": 1e-9, "atol": 1e-9}
@@ -210,7 +214,7 @@ def test_a_motion_with_laws_loses_what_they_say(names):
 
 
 def test_a_motion_by_parameters_of_a_law_has_their_derivatives():
-    arm = chain(2, joint_laws=["Creep", "hardening"])
+    arm = takeichi_20m(2, joint_laws=["Creep", "hardening"])
     command = giajax.joint_ramps(2, {1: 0.5, 2: -0.3}, duration=0.2)
 
     @jax.jit
@@ -234,7 +238,7 @@ def test_steps_for_derivatives_are_those_of_the_stiffness_that_springs_come_to()
     """At rest 0.5 rad from its command a joint is as one whose linear spring has that slope."""
     start = (jnp.asarray([0.5, 0.0]), jnp.zeros(2))
     hard = {"joints.pitch_stiffness": 2.0, "joints.laws.hardening.cubic": 8192.0}
-    laws = chain(2, joint_laws=["hardening"], parameters=hard | {"joints.damping": 0.7})
+    laws = takeichi_20m(2, joint_laws=["hardening"], parameters=hard | {"joints.damping": 0.7})
     linear = {"joints.pitch_stiffness": 2.0 + 3 * 8192 * 0.25, "joints.damping": 0.7}
     straight = jnp.zeros(2)
 
@@ -255,7 +259,7 @@ def test_steps_for_derivatives_are_those_of_the_stiffness_that_springs_come_to()
         return jax.jit(jax.jacfwd(moved))(0.0)
 
     found = slope(laws, straight, 2 * 0.5 + 8192 * 0.5**3)
-    assert_allclose(found, slope(chain(2, parameters=linear), start[0], 0.0), atol=1e-5)
+    assert_allclose(found, slope(takeichi_20m(2, parameters=linear), start[0], 0.0), atol=1e-5)
 
 
 class Shapeless(Creep):
@@ -401,7 +405,7 @@ class Misled(Creep):
 )
 def test_a_wrong_law_is_refused_before_anything_is_fitted(law, said):
     with pytest.raises(InputError, match=said):
-        chain(4, joint_laws=[law])
+        takeichi_20m(4, joint_laws=[law])
 
 
 class Counting(Creep):
@@ -415,7 +419,7 @@ class Counting(Creep):
 def test_a_law_is_tried_once_for_its_numbers_and_joints():
     for joints, modulus, again in ((2, 2.0, True), (2, 2.0, False), (3, 2.0, True), (2, 3.0, True)):
         Counting.calls.clear()
-        chain(joints, joint_laws=[Counting(modulus=modulus)])
+        takeichi_20m(joints, joint_laws=[Counting(modulus=modulus)])
         assert bool(Counting.calls) == again
 
 
@@ -437,15 +441,15 @@ def test_a_law_without_its_method_is_refused_by_its_name():
 
 def test_names_of_laws_are_those_of_registered_ones_each_once():
     with pytest.raises(InputError, match="there is no joint law 'Nobodys': register it"):
-        chain(2, joint_laws=["Nobodys"])
+        takeichi_20m(2, joint_laws=["Nobodys"])
     with pytest.raises(InputError, match="Creep is among joint_laws twice"):
-        chain(2, joint_laws=["Creep", Creep()])
+        takeichi_20m(2, joint_laws=["Creep", Creep()])
     for wrong in ("hardening", Creep(), Creep, [Creep], ["hardening", None]):
         with pytest.raises(InputError, match="give a list of names or instances of laws"):
-            chain(2, joint_laws=wrong)
+            takeichi_20m(2, joint_laws=wrong)
     for given in (Spring(ONE), Memory(strength=0.1)):
         with pytest.raises(InputError, match="is what joints have by their parameters"):
-            chain(2, joint_laws=[given])
+            takeichi_20m(2, joint_laws=[given])
     with pytest.raises(InputError, match='\'Nobodys\' must be "hardening", "end_stops" or'):
         giajax.recordings.Definition.parse({"arm": {"joint_laws": ["Nobodys"]}}, "test")
     with pytest.raises(InputError, match="there is a joint 'hardening' already"):

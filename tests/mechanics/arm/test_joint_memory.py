@@ -16,12 +16,12 @@ from giajax.mechanics.arm import (
     Memory,
     Stops,
     acceleration,
-    chain,
     hysteresis_power,
     inverse_dynamics,
     joint_torque,
     mass_matrix,
     potential_energy,
+    takeichi_20m,
 )
 from giajax.mechanics.hysteresis import Stop
 from giajax.models import arm_from_definition, arm_to_definition
@@ -120,7 +120,7 @@ def test_what_stops_take_is_stored_or_lost_along_any_way():
 
 def test_the_energy_of_an_arm_has_what_its_joints_store():
     parameters = {"joints.memory.strength": 0.2, "joints.stops.strength": [0.1, 0.3]}
-    arm = chain(3, parameters=parameters | {"joints.stops.yield_angle": [0.5, 0.7]})
+    arm = takeichi_20m(3, parameters=parameters | {"joints.stops.yield_angle": [0.5, 0.7]})
     random = np.random.default_rng(2)
     angles, rates = (jnp.asarray(random.uniform(-0.3, 0.3, 3)) for _ in range(2))
     memory = jnp.asarray(random.uniform(-0.1, 0.1, (3, 3)))  # no stop slides
@@ -163,7 +163,7 @@ def test_joints_have_as_many_states_as_they_remember():
 
 
 def test_stops_are_as_many_as_are_given():
-    two = chain(2, parameters={"joints.stops.strength": [0.1, 0.1]})
+    two = takeichi_20m(2, parameters={"joints.stops.strength": [0.1, 0.1]})
     definition = Definition.parse({"arm": arm_to_definition(two)}, "test")
     assert arm_from_definition(definition).joints.further_laws.rows == 2
     three = {"joints.stops.strength": [0.1, 0.2, 0.3], "joints.stops.yield_angle": [0.1, 0.2, 0.3]}
@@ -174,11 +174,11 @@ def test_stops_are_as_many_as_are_given():
     with pytest.raises(InputError, match="give one of each"):
         replace(replace(two, three), {"joints.stops.strength": [0.1, 0.2]})
     with pytest.raises(InputError, match="give one of each"):
-        chain(2, parameters={"joints.stops.strength": []})
+        takeichi_20m(2, parameters={"joints.stops.strength": []})
 
 
 def test_how_added_mass_acts_is_in_the_definition_before_there_is_any():
-    definition = {"arm": arm_to_definition(chain(2, added_mass="inertia"))}
+    definition = {"arm": arm_to_definition(takeichi_20m(2, added_mass="inertia"))}
     again = arm_from_definition(Definition.parse(definition, "test"))
     assert again.air.added_mass == "inertia"
 
@@ -187,14 +187,16 @@ def test_stops_need_as_many_angles_as_strengths():
     with pytest.raises(InputError, match="give one of each"):
         Stops(strength=[0.1, 0.2, 0.3], yield_angle=[0.1, 0.2])
     with pytest.raises(InputError, match="give one of each"):
-        chain(2, parameters={"joints.stops.strength": [0.1, 0.2, 0.3],
+        takeichi_20m(2, parameters={"joints.stops.strength": [0.1, 0.2, 0.3],
                              "joints.stops.yield_angle": [0.1, 0.2]})  # fmt: skip
 
 
 def test_without_velocity_products_added_mass_is_in_the_mass_matrix_alone():
     random = np.random.default_rng(5)
-    plain = chain(4, drag="strip")
-    other = replace(chain(4, drag="strip", added_mass="inertia"), {"air.added_mass_coefficient": 1})
+    plain = takeichi_20m(4, drag="strip")
+    other = replace(
+        takeichi_20m(4, drag="strip", added_mass="inertia"), {"air.added_mass_coefficient": 1}
+    )
     angles, rates, turning = (jnp.asarray(random.normal(size=4)) for _ in range(3))
     matrix = eqx.filter_jit(mass_matrix)
     heavier = matrix(other, angles) - matrix(plain, angles)
@@ -216,7 +218,7 @@ def test_without_velocity_products_added_mass_is_in_the_mass_matrix_alone():
 
 def test_yield_angles_without_strengths_are_no_stops():
     """They wait for a fit that switches the strengths on."""
-    arm = chain(2, parameters={"joints.stops.yield_angle": [0.1, 0.2]})
+    arm = takeichi_20m(2, parameters={"joints.stops.yield_angle": [0.1, 0.2]})
     laws, still = arm.joint_laws, jnp.zeros(2)
     assert laws.rows == 0
     at = laws.at(still + 0.3, still, still + 0.3)

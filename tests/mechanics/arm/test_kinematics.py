@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 import giajax.mechanics.arm
-from giajax.mechanics.arm import chain, takeichi_20m
+from giajax.mechanics.arm import takeichi_20m
 from peers.arms import general_arm, random_states
 from peers.scipy_chain import ScipyChain
 
@@ -19,14 +19,14 @@ tip_position = eqx.filter_jit(giajax.mechanics.arm.tip_position)
 
 
 def test_the_straight_arm_lies_along_x():
-    arm = chain(3, length=[1.0, 2.0, 3.0])
+    arm = takeichi_20m(3, length=[1.0, 2.0, 3.0])
     expected = [[0.5, 0, 0], [2.0, 0, 0], [4.5, 0, 0]]
     assert_allclose(link_centres(arm, jnp.zeros(3)), expected)
     assert_allclose(tip_position(arm, jnp.zeros(3)), [6.0, 0, 0])
 
 
 def test_a_positive_pitch_raises_and_a_positive_yaw_turns_to_the_left():
-    arm = chain(2, length=2.0)
+    arm = takeichi_20m(2, length=2.0)
     pitch, yaw = jnp.array([0.3, 0.0]), jnp.array([0.0, 0.3])
     assert_allclose(
         tip_position(arm, pitch), [4 * np.cos(0.3), 0, 4 * np.sin(0.3)], rtol=1e-15, atol=1e-15
@@ -37,7 +37,7 @@ def test_a_positive_pitch_raises_and_a_positive_yaw_turns_to_the_left():
 
 
 def test_angles_of_a_planar_chain_add_up():
-    arm = chain(5, length=[0.5, 1.0, 1.5, 2.0, 2.5], joint_axes=["pitch"] * 5)
+    arm = takeichi_20m(5, length=[0.5, 1.0, 1.5, 2.0, 2.5], joint_axes=["pitch"] * 5)
     angles = jnp.array([0.3, -0.7, 1.1, 0.2, -2.0])
     slope, length = np.cumsum(angles), np.asarray(arm.links.length)
     ends = np.cumsum(length * np.array([np.cos(slope), np.sin(slope)]), axis=1)
@@ -62,7 +62,7 @@ def test_the_base_turns_the_whole_arm():
     state = random_states(4, 1)
     angles, rates = state["angles"][0], state["rates"][0]
     turn = Rotation.from_rotvec(vector).as_matrix()
-    level, turned = chain(4), chain(4, base_rotation=vector)
+    level, turned = takeichi_20m(4), takeichi_20m(4, base_rotation=vector)
     for quantity in (link_centres, lambda arm, angles: link_velocities(arm, angles, rates)):
         assert_allclose(quantity(turned, angles), quantity(level, angles) @ turn.T, atol=1e-13)
 

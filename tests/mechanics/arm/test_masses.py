@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 import giajax.mechanics.arm
 from giajax.mechanics.arm import (
     PointMasses,
-    chain,
     net_lift,
     pendulum,
     takeichi_20m,
@@ -36,7 +35,7 @@ DISPLACED = 1.204 * np.pi / 4 * 0.3**2 * 0.99
 def test_a_trimmed_link_moves_with_the_mass_of_the_air_it_displaces(structure):
     """At the end of a long massless lever M / R^2 is the moving mass, whatever is its structure."""
     lever = 1e6
-    arm = chain(
+    arm = takeichi_20m(
         2,
         length=[lever, 0.99],
         diameter=[2e-7, 0.3],
@@ -65,7 +64,7 @@ def test_a_link_lifts_what_the_paper_says():
 @pytest.mark.parametrize("build", [takeichi_20m, full_arm], ids=["the paper's", "uneven"])
 def test_a_trimmed_arm_stays_wherever_it_is_put(build):
     """Weight and lift balance about every point of a level link, whatever its pose."""
-    held = chain(1, buoyancy=True).buoyancy
+    held = takeichi_20m(1, buoyancy=True).buoyancy
     arm = dataclasses.replace(build(4), point_masses=None, buoyancy=held)
     share, along = jnp.array([0.3, 0.4, 0.5, 0.2]), jnp.array([0.45, 0.6, 0.5, 0.5])
     changes = {
@@ -107,7 +106,7 @@ def test_the_full_arm_floats_at_rest_when_it_is_straight():
 
 def test_weights_below_the_axis_are_a_stiffness():
     """m g h for a floating link with its weight m at the depth h: 0.15 m give 0.038 N m/rad."""
-    arm = chain(1, gravity=9.81, trim=True, parameters={"buoyancy.trim_depth": 0.15})
+    arm = takeichi_20m(1, gravity=9.81, trim=True, parameters={"buoyancy.trim_depth": 0.15})
     angle = 0.3
     torque = inverse_dynamics(arm, jnp.array([angle]), jnp.zeros(1), jnp.zeros(1))
     stiffness = float(arm.buoyancy.trim_mass[0]) * 9.81 * 0.15
@@ -117,7 +116,7 @@ def test_weights_below_the_axis_are_a_stiffness():
 
 def test_lift_that_is_left_over_raises_the_arm():
     parameters = {"buoyancy.imbalance": 0.02}
-    arm = chain(2, gravity=9.81, trim=True, joint_axes=["pitch"] * 2, parameters=parameters)
+    arm = takeichi_20m(2, gravity=9.81, trim=True, joint_axes=["pitch"] * 2, parameters=parameters)
     torque = inverse_dynamics(arm, *[jnp.zeros(2)] * 3)
     assert_allclose(torque, [-0.02 * (0.495 + 1.485), -0.02 * 0.495], rtol=1e-9)
 
@@ -127,7 +126,7 @@ def test_a_point_mass_is_what_the_link_would_be_with_it():
     place, size = np.array([0.9, 0.1, -0.2]), 0.05
     fixed = PointMasses((1,), *(jnp.asarray(x) for x in (size, *place)))
     for axis in np.eye(3):
-        plain = chain(1, joint_axes=[axis.tolist()])
+        plain = takeichi_20m(1, joint_axes=[axis.tolist()])
         arm = dataclasses.replace(plain, point_masses=fixed)
         lever = np.cross(axis, place)
         added = mass_matrix(arm, jnp.zeros(1)) - mass_matrix(plain, jnp.zeros(1))
@@ -137,7 +136,7 @@ def test_a_point_mass_is_what_the_link_would_be_with_it():
 def test_two_bodies_on_one_link_are_one_in_their_middle():
     def arm(links, mass, position, up):
         fixed = PointMasses(links, jnp.asarray(mass), jnp.asarray(position), None, jnp.asarray(up))
-        return chain(3, gravity=9.81, point_masses=fixed)
+        return takeichi_20m(3, gravity=9.81, point_masses=fixed)
 
     two = arm((2, 2), [0.1, 0.1], [0.3, 0.3], [0.2, 0.2])
     one = arm((2,), [0.2], [0.3], [0.2])
@@ -174,11 +173,14 @@ def camera(link, **places):
 @pytest.mark.parametrize(
     ("build", "sentence"),
     [
-        (lambda: chain(3, drag="middle"), "drag is 'middle': use one of centre, strip"),
-        (lambda: chain(3, drag_curve="sphere"), "drag_curve is 'sphere': use one of constant, cy"),
-        (lambda: chain(3, strip_points=0), "strip_points is 0: give at least 1"),
+        (lambda: takeichi_20m(3, drag="middle"), "drag is 'middle': use one of centre, strip"),
         (
-            lambda: chain(3, parameters={"air.axial_coefficient": 0.1}),
+            lambda: takeichi_20m(3, drag_curve="sphere"),
+            "drag_curve is 'sphere': use one of constant, cy",
+        ),
+        (lambda: takeichi_20m(3, strip_points=0), "strip_points is 0: give at least 1"),
+        (
+            lambda: takeichi_20m(3, parameters={"air.axial_coefficient": 0.1}),
             "no axial coefficient: use drag = 'strip'",
         ),
         (
@@ -186,28 +188,37 @@ def camera(link, **places):
             "a point mass is on link 99 of an arm of 20 links: correct the number",
         ),
         (lambda: camera(0), "a point mass has no link, or one below 1: number its link"),
-        (lambda: PointMasses(()), "a point mass has no link, or one below 1: number its link"),
+        (
+            lambda: PointMasses((), 0.1, 0.2),
+            "a point mass has no link, or one below 1: number its link",
+        ),
         (lambda: camera(1, up=jnp.zeros(2)), "have 1 links and a up of shape (2,)"),
         (
-            lambda: chain(3, mass=[0.04, 0.1, 0.05], trim=True),
+            lambda: takeichi_20m(3, mass=[0.04, 0.1, 0.05], trim=True),
             "link 2 is 0.0274 kg too heavy to float, so no trim weight balances it",
         ),
         (
-            lambda: chain(2, mass=0.07, trim=True, centre_of_mass=0.2),
+            lambda: takeichi_20m(2, mass=0.07, trim=True, centre_of_mass=0.2),
             "link 1 floats level only with its trim weight 8.41 m along a link of 0.99 m",
         ),
-        (lambda: trimmed(chain(2)), "this arm leaves buoyancy out: build it with buoyancy=True"),
-        (lambda: net_lift(chain(2)), "this arm leaves buoyancy out: build it with buoyancy=True"),
         (
-            lambda: chain(3, parameters={"buoyancy.trim_mass": 0.1}),
+            lambda: trimmed(takeichi_20m(2)),
+            "this arm leaves buoyancy out: build it with buoyancy=True",
+        ),
+        (
+            lambda: net_lift(takeichi_20m(2)),
+            "this arm leaves buoyancy out: build it with buoyancy=True",
+        ),
+        (
+            lambda: takeichi_20m(3, parameters={"buoyancy.trim_mass": 0.1}),
             "there is no parameter 'buoyancy.trim_mass'",
         ),
         (
-            lambda: chain(3, parameters={"joints.friction": [0.1, 0.2]}),
+            lambda: takeichi_20m(3, parameters={"joints.friction": [0.1, 0.2]}),
             "'joints.friction' has 2 values: give one finite number, or 3 of them",
         ),
         (
-            lambda: chain(3, parameters={"air.wind": [0.1, np.nan, 0.0]}),
+            lambda: takeichi_20m(3, parameters={"air.wind": [0.1, np.nan, 0.0]}),
             "'air.wind' has 3 values: give one finite number, or 3 of them",
         ),
     ],

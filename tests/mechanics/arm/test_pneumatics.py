@@ -14,8 +14,8 @@ from giajax import InputError
 from giajax.mechanics import arm as mechanics, joint as statics
 from giajax.mechanics.arm import (
     Pneumatics,
-    chain,
     potential_energy,
+    takeichi_20m,
 )
 from giajax.mechanics.joint import (
     Correction,
@@ -42,7 +42,7 @@ PAIR = Pneumatics((1,)).pair
     ("muscles", "joints"), [("pitch", [0, 2]), ("all", [0, 1, 2, 3]), ([1, 2, 4], [0, 1, 3])]
 )
 def test_the_torque_is_that_of_the_joint_at_rest(muscles, joints):
-    arm = chain(LINKS, muscles=muscles)
+    arm = takeichi_20m(LINKS, muscles=muscles)
     random = np.random.default_rng(1)
     angles = jnp.asarray(random.uniform(-1, 1, LINKS))
     pressures = jnp.asarray(random.uniform(2e4, 4e4, (2, LINKS)))
@@ -62,7 +62,7 @@ def test_the_torque_is_that_of_the_joint_at_rest(muscles, joints):
 
 
 def test_the_controller_of_an_arm_is_that_of_a_joint():
-    drive = chain(LINKS, muscles="pitch").pneumatics
+    drive = takeichi_20m(LINKS, muscles="pitch").pneumatics
     command = jnp.deg2rad(jnp.asarray([30.0, 5.0, -2.0, 0.0]))
     found = commanded(drive, command)
     of_a_joint = eqx.filter_jit(lambda angle: pair_command(PAIR, angle).pressures)
@@ -70,7 +70,7 @@ def test_the_controller_of_an_arm_is_that_of_a_joint():
         assert_allclose(found[:, joint], of_a_joint(command[joint]), rtol=1e-13)
     assert_allclose(found[:, np.asarray([1, 3])], 0)
     # A joint that is stiff of itself is held against that, too.
-    stiff = chain(LINKS, muscles="pitch", parameters={"drive.passive_stiffness": 0.2})
+    stiff = takeichi_20m(LINKS, muscles="pitch", parameters={"drive.passive_stiffness": 0.2})
     torque = joint_torque(stiff, command, jnp.zeros(LINKS), command)
     assert_allclose(torque, 0, atol=1e-14)
     assert not np.allclose(commanded(stiff.pneumatics, command), found)
@@ -108,7 +108,7 @@ def special_states():
 def flat_drive(stiffness):
     """The parameters of a joint with that stiffness of its own, and how they are put together."""
     stiff = {"drive.passive_stiffness": stiffness}
-    flat, unflatten = ravel_pytree(chain(1, muscles="all", parameters=stiff).pneumatics)
+    flat, unflatten = ravel_pytree(takeichi_20m(1, muscles="all", parameters=stiff).pneumatics)
     return np.asarray(flat), unflatten
 
 
@@ -168,7 +168,7 @@ def stored_along(arm, angles, rates, command):
 
 def test_what_muscles_do_is_stored_or_resisted():
     """Power of the torque = power of the pressures - rate of what is stored."""
-    arm = chain(LINKS, muscles="pitch", parameters={"drive.passive_stiffness": 0.15})
+    arm = takeichi_20m(LINKS, muscles="pitch", parameters={"drive.passive_stiffness": 0.15})
     random = np.random.default_rng(4)
     for spread in (0.01, 0.5, 1.5):
         angles, rates = (jnp.asarray(random.uniform(-spread, spread, LINKS)) for _ in range(2))
@@ -184,7 +184,7 @@ def test_what_muscles_do_is_stored_or_resisted():
 def test_an_ideal_braid_does_the_work_of_its_gas():
     """F dL = -p dV for k = eta = 1 and no dead band (Chou and Hannaford)."""
     ideal = {"muscle.end_correction": 1.0, "muscle.dead_band": 0.0}
-    arm = chain(1, muscles="all", parameters=ideal)
+    arm = takeichi_20m(1, muscles="all", parameters=ideal)
     drive, pressures = arm.pneumatics, jnp.asarray([[4e4], [2e4]])
     muscle, length = drive.muscle, drive.joint.geometry.muscle_length
 
@@ -213,11 +213,11 @@ def test_an_ideal_braid_does_the_work_of_its_gas():
 
 def test_another_law_drives_an_arm():
     pair = JointPair(Joint(correction=Correction(reading="none")), EmpiricalMuscle())
-    arm = chain(2, muscles="pitch", pair=pair)
+    arm = takeichi_20m(2, muscles="pitch", pair=pair)
     command = jnp.deg2rad(jnp.asarray([25.0, 0.0]))
     still = jnp.zeros(2)
     assert_allclose(acceleration(arm, command, still, command), 0, atol=1e-11)
-    braided = commanded(chain(2, muscles="pitch").pneumatics, command)
+    braided = commanded(takeichi_20m(2, muscles="pitch").pneumatics, command)
     assert not np.allclose(commanded(arm.pneumatics, command), braided)
 
 
@@ -234,7 +234,7 @@ def test_at_60_degrees_the_slope_is_that_of_the_range():
 
 
 def test_a_bound_of_the_stiffness_holds_for_any_pressures():
-    arm = chain(2, muscles="pitch", parameters={"joints.yaw_stiffness": 7.0})
+    arm = takeichi_20m(2, muscles="pitch", parameters={"joints.yaw_stiffness": 7.0})
     drive = arm.pneumatics
     angles = np.deg2rad(np.linspace(-59.5, 59.5, 120))
     held = np.asarray([[a, b] for a in (0, 1e5, 3e5) for b in (0, 1e5, 3e5)])
@@ -252,24 +252,24 @@ def test_a_bound_of_the_stiffness_holds_for_any_pressures():
 
 
 def test_a_spring_that_no_joint_has_is_0_whoever_states_it():
-    stated = chain(1, muscles="pitch", parameters={"joints.pitch_stiffness": 3.0})
+    stated = takeichi_20m(1, muscles="pitch", parameters={"joints.pitch_stiffness": 3.0})
     assert float(stated.joints.pitch_stiffness) == 0
 
 
 def test_bad_muscles_are_refused():
     for wrong in ([1.9], 3, "yaw", [True]):
         with pytest.raises(InputError, match='use "pitch", "all" or a list'):
-            chain(2, muscles=wrong)
+            takeichi_20m(2, muscles=wrong)
     with pytest.raises(InputError, match="which pushes"):
-        chain(2, muscles="all", pair=JointPair(PAIR.joint, Piston()))
+        takeichi_20m(2, muscles="all", pair=JointPair(PAIR.joint, Piston()))
     with pytest.raises(InputError, match="joint 3 has muscles, but the arm has 2 joints"):
-        chain(2, muscles=[1, 3])
+        takeichi_20m(2, muscles=[1, 3])
     with pytest.raises(InputError, match="increasing, each once"):
-        chain(2, muscles=[2, 1])
+        takeichi_20m(2, muscles=[2, 1])
     with pytest.raises(InputError, match="is in no joint"):
-        chain(2, pair=JointPair())
+        takeichi_20m(2, pair=JointPair())
     with pytest.raises(InputError, match="jump at 0"):
-        chain(2, muscles="all", pair=JointPair())
+        takeichi_20m(2, muscles="all", pair=JointPair())
     printed = JointPair(Joint(correction=Correction(reading="printed", blend=0.1)))
     with pytest.raises(InputError, match="as printed"):
-        chain(2, muscles="all", pair=printed)
+        takeichi_20m(2, muscles="all", pair=printed)

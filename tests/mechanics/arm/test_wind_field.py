@@ -16,11 +16,11 @@ from giajax.mechanics.arm import (
     AbstractWind,
     PointMasses,
     acceleration,
-    chain,
     drag_force,
     drag_power,
     inverse_dynamics,
     link_centres,
+    takeichi_20m,
     with_wind,
 )
 from giajax.recordings import Definition
@@ -45,7 +45,9 @@ FULL = {"air.axial_coefficient": 0.02, "air.added_mass_coefficient": 1.0}
 
 
 def full_arm(**changes):
-    return chain(3, drag="strip", strip_points=4, point_masses=BODY, parameters=FULL, **changes)
+    return takeichi_20m(
+        3, drag="strip", strip_points=4, point_masses=BODY, parameters=FULL, **changes
+    )
 
 
 def everywhere(vector, position):
@@ -75,7 +77,7 @@ def growing(position, time):
 
 def test_a_wind_that_is_the_same_everywhere_is_a_constant_wind():
     rates = jnp.asarray(MOVING)
-    for arm in (chain(3), full_arm()):
+    for arm in (takeichi_20m(3), full_arm()):
         blown = with_wind(arm, breeze)
         for function in (drag_force, drag_power):
             expected = function(arm, *rates, WIND)
@@ -94,7 +96,7 @@ def test_the_wind_is_that_of_each_place_along_a_link_and_of_each_body():
     wind = Sheared(gradient=jnp.asarray([3.0, -2.0, 1.0]))
     angles, time = jnp.asarray(MOVING[0]), 2.0
     still = jnp.zeros(3)
-    arm = chain(3, drag="strip", strip_points=20, wind_field=wind)
+    arm = takeichi_20m(3, drag="strip", strip_points=20, wind_field=wind)
     found = drag_force(arm, angles, still, time=time)
     centres = np.asarray(link_centres(arm, angles))
     here = giajax.mechanics.arm.pose(arm, angles)
@@ -110,7 +112,7 @@ def test_the_wind_is_that_of_each_place_along_a_link_and_of_each_body():
     assert np.abs(drag_force(arm, angles, still) - found).max() > 0.01
     # Of a body at the end of a lever alone.
     bare = {"air.drag_coefficient": 0.0}
-    arm = chain(3, point_masses=BODY, wind_field=wind, parameters=bare)
+    arm = takeichi_20m(3, point_masses=BODY, wind_field=wind, parameters=bare)
     here = giajax.mechanics.arm.pose(arm, angles, sideways=True)
     place = here.joint[:, 1] + 0.4 * here.direction[:, 1] + 0.3 * here.left[:, 1]
     velocity = wind(place + 0.2 * here.up[:, 1], jnp.asarray(time))
@@ -132,7 +134,7 @@ def test_drag_along_a_link_is_by_the_wind_at_each_place():
 def test_added_mass_feels_the_rate_of_the_air_that_passes():
     """Of a field u(x, t), du/dt = growth + gradient u; without drag it is a wind of each link."""
     none = {**FULL, "air.drag_coefficient": 0.0, "air.axial_coefficient": 0.0, "air.wind": WIND}
-    plain = chain(3, drag="strip", parameters=none)
+    plain = takeichi_20m(3, drag="strip", parameters=none)
     wind = Sheared()
     angles, rates = map(jnp.asarray, MOVING)
     centres = link_centres(plain, angles)
@@ -146,7 +148,7 @@ def test_added_mass_feels_the_rate_of_the_air_that_passes():
 
 
 def test_a_motion_in_a_function_is_that_in_its_recording():
-    arm, times = chain(2), np.linspace(0.0, 3.0, 31)
+    arm, times = takeichi_20m(2), np.linspace(0.0, 3.0, 31)
     command = joint_steps(2, {})
     dense = np.linspace(0.0, 3.0, 601)
     recorded = logged(dense, np.sin(dense)[:, None] * np.asarray(WIND), "linear")
@@ -164,7 +166,7 @@ def test_a_motion_in_a_function_is_that_in_its_recording():
 
 
 def test_derivatives_by_its_parameters_are_those_of_differences_at_rest_too():
-    arm = chain(2, wind_field=Sheared(growth=jnp.zeros(())))
+    arm = takeichi_20m(2, wind_field=Sheared(growth=jnp.zeros(())))
     times, path = jnp.linspace(0.0, 1.0, 3), "air.wind_field.growth"
     assert is_disturbance(path)
 
@@ -184,30 +186,30 @@ def test_derivatives_by_its_parameters_are_those_of_differences_at_rest_too():
 
 
 def test_an_arm_in_a_wind_goes_through_its_definition_and_its_class_is_in_keys():
-    arm = chain(2, wind_field="Sheared", parameters={"air.wind_field.growth": 0.7})
+    arm = takeichi_20m(2, wind_field="Sheared", parameters={"air.wind_field.growth": 0.7})
     assert "air.wind_field.gradient" in declared(arm)
     assert "air.wind_field.growth" in default_free(arm)
     model = giajax.ArmModel(giajax.replace(arm, {"air.wind_field.growth": 0.4}))
     assert model.definition()["arm"]["wind_field"] == "Sheared"
     again = giajax.ArmModel.from_definition(model.definition())
     assert eqx.tree_equal(again.arm.air, model.arm.air)
-    assert "wind_field" not in giajax.ArmModel(chain(2)).definition()["arm"]
+    assert "wind_field" not in giajax.ArmModel(takeichi_20m(2)).definition()["arm"]
     here = "test_wind_field.py"
     assert here in sources_of(model)
     assert here in sources_named('wind_field = "Sheared"')
     for text in (structure, content):
-        assert text(arm) != text(chain(2))
-        assert text(chain(2, wind_field=breeze)) != text(chain(2, wind_field=growing))
-        assert "wind_field" not in text(chain(2)) or text is structure
+        assert text(arm) != text(takeichi_20m(2))
+        assert text(takeichi_20m(2, wind_field=breeze)) != text(takeichi_20m(2, wind_field=growing))
+        assert "wind_field" not in text(takeichi_20m(2)) or text is structure
     with pytest.raises(InputError, match=r"the wind WindFunction is not registered.*write one"):
-        giajax.ArmModel(chain(2, wind_field=breeze)).definition()
+        giajax.ArmModel(takeichi_20m(2, wind_field=breeze)).definition()
     with pytest.raises(InputError, match="wind_field = 'Nobodys' must be a registered wind"):
         Definition.parse({"arm": {"wind_field": "Nobodys"}}, "test")
 
 
 def test_a_program_with_an_edited_function_is_another_one(monkeypatch):
     """Its mark is that of its source, as that of a class is."""
-    arm = chain(1, wind_field=breeze)
+    arm = takeichi_20m(1, wind_field=breeze)
     before = structure(arm)
     monkeypatch.setattr("giajax.runtime.programs.mark", lambda value: "edited")
     assert structure(arm) != before
@@ -252,7 +254,7 @@ class Late(Sheared):
     ids=lambda value: getattr(value, "__name__", type(value).__name__),
 )
 def test_a_wrong_wind_is_refused_before_anything_is_fitted(wind, said):
-    for take in (check_wind, lambda wind: chain(2, wind_field=wind)):
+    for take in (check_wind, lambda wind: takeichi_20m(2, wind_field=wind)):
         with pytest.raises(InputError, match=said):
             take(wind)
 
@@ -263,11 +265,11 @@ def test_a_wind_is_tried_where_the_arm_is():
 
     check_wind(above_ground)
     upright = {"links": 4, "length": 2.0}
-    chain(**upright, base_rotation=(0.0, -np.pi / 2, 0.0), wind_field=above_ground)
+    takeichi_20m(**upright, base_rotation=(0.0, -np.pi / 2, 0.0), wind_field=above_ground)
     with pytest.raises(InputError, match="above_ground has a value that is not finite"):
-        chain(**upright, base_rotation=(0.0, np.pi / 2, 0.0), wind_field=above_ground)
+        takeichi_20m(**upright, base_rotation=(0.0, np.pi / 2, 0.0), wind_field=above_ground)
     with pytest.raises(InputError, match="there is no wind 'Nobodys': register it"):
-        chain(2, wind_field="Nobodys")
+        takeichi_20m(2, wind_field="Nobodys")
 
 
 def test_a_wind_without_its_method_is_refused_by_its_name():

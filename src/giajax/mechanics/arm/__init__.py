@@ -89,6 +89,7 @@ from ._parts import (
     Links as Links,
     PointMasses as PointMasses,
     named_axes as named_axes,
+    six_points as six_points,
 )
 from ._pneumatics import (
     MUSCLE_BLEND as MUSCLE_BLEND,

@@ -12,7 +12,7 @@ import numpy as np
 from ...runtime.arrays import Array, Float, Scalar, rotate, rotation_vector_to_quaternion
 from ...runtime.plugins import law_named, name_of, registered
 from ...runtime.text import InputError
-from ...schema import AIR, BASE, BUOYANCY, LINKS, POINT_MASSES
+from ...schema import AIR, BASE, BUOYANCY, LINKS, NO_NEUTRAL, POINT_MASSES
 from ...schema.parameters import (
     checked,
     declaration,
@@ -26,8 +26,18 @@ from ..joint import JointPair
 from ._drag import AbstractDragLaw, check_drag_law
 from ._joint_laws import AbstractJointLaw, JointLaws, Spring
 from ._joint_trial import check_joint_law
-from ._parts import DRAGS, Air, Buoyancy, Contact, Joints, Links, PointMasses, named_axes
-from ._pneumatics import Pneumatics, muscles_in, without_idle_springs
+from ._parts import (
+    DRAGS,
+    Air,
+    Buoyancy,
+    Contact,
+    Joints,
+    Links,
+    PointMasses,
+    named_axes,
+    six_points,
+)
+from ._pneumatics import Pneumatics, idle_springs, muscles_in
 from ._wind import AbstractWind, as_wind, check_wind
 
 # Frame: x along the straight arm away from the base, z up, y to the left; the origin is joint 1.
@@ -37,7 +47,7 @@ from ._wind import AbstractWind, as_wind, check_wind
 class Arm(eqx.Module):
     """A chain of links in air, fixed at its base.
 
-    Build one with a preset (`takeichi_20m`) or with `chain`. Every array of it may be
+    Build one with a preset (`takeichi_20m`), or your own with `chain`. Every array of it may be
     differentiated, batched and replaced (`giajax.replace`). What is None is left out, and costs
     nothing.
 
@@ -259,8 +269,11 @@ def _level(arm: Arm, bare: Buoyancy, weights: Float[Array, " link"]) -> Float[Ar
     return place
 
 
+STANDARD_GRAVITY = 9.80665
+
+
 def chain(
-    links: int = 20,
+    links: int,
     *,
     length: Any = None,
     diameter: Any = None,
@@ -268,9 +281,10 @@ def chain(
     centre_of_mass: Any = None,
     inertia_transverse: Any = None,
     inertia_axial: Any = None,
-    joint_axes: str | Sequence[str | Sequence[float]] = "pitch_yaw",
+    inertia: Any = None,
+    joint_axes: str | Sequence[str | Sequence[float]] | None = None,
     base_rotation: Any = (0.0, 0.0, 0.0),
-    gravity: Any = 0.0,
+    gravity: Any = STANDARD_GRAVITY,
     air_density: Any = None,
     drag: str | AbstractDragLaw = "centre",
     strip_points: int = 3,
@@ -286,17 +300,24 @@ def chain(
     contact: Contact | None = None,
     parameters: Mapping[str, Any] | None = None,
 ) -> Arm:
-    """Build an arm; by default that of the paper (`takeichi_20m`).
+    """Build an arm of your own.
+
+    What has no neutral value must be given: length, diameter, mass, `joint_axes`, and among the
+    parameters `joints.pitch_stiffness` and `joints.yaw_stiffness` of joints that springs drive, and
+    `joints.damping` (0 is a value). All else is absent, or as here.
 
     Arguments:
         length, diameter, mass: of a link, m and kg; a number for all links or one per link.
         centre_of_mass: from the link's joint along the link, m; half the length by default.
         inertia_transverse, inertia_axial: about the centre of mass, kg m^2; those of a
             thin-walled tube of the link's mass, length and diameter by default.
+        inertia: in place of these two, of a link that is not round about its axis: xx, yy, zz, xy,
+            xz, yz in the link's frame (x along it, z up in the straight arm), about its centre of
+            mass, kg m^2, shape (6,) or (link, 6). Such a link is its mass in six points.
         joint_axes: "pitch_yaw", or for each joint "pitch", "yaw" or a vector.
         base_rotation: rotation vector of the straight arm, rad, shape (3,).
-        gravity: along -z, m/s^2.
-        air_density: kg/m^3.
+        gravity: along -z, m/s^2; 0 where buoyancy balances weight.
+        air_density: kg/m^3; that of air at 20 C by default.
         drag: a word of `Air`, a law of drag, or the name of a registered one (`giajax.register`).
         strip_points, drag_curve, added_mass: as of `Air`.
         joint_laws: laws of the joints beside springs, dampers and hysteresis, or their names:
@@ -315,22 +336,41 @@ def chain(
         contact: obstacles around the arm, and how links press against them; none by default.
         parameters: values of any parameters by path, SI (`giajax parameters` lists them); one
             that is left out by default, such as `air.added_mass_coefficient`, is switched on.
+            C_D is 1 by default.
 
     Raises:
-        InputError: a pair without joints, a list whose length is not the number of links, a number
-            that is not finite or, where physics needs it, not positive, an unknown path or choice,
-            a link that is too heavy to float.
+        InputError: a value that is missing, a pair without joints, a list whose length is not the
+            number of links, a number that is not finite or, where physics needs it, not positive,
+            an unknown path or choice, a link that is too heavy to float.
 
     Example:
         >>> import giajax
         >>> arm = giajax.chain(
-        ...     3, length=[1.0, 0.8, 0.6], parameters={"air.added_mass_coefficient": 1.0}
+        ...     2,
+        ...     length=[0.8, 0.6],
+        ...     diameter=0.05,
+        ...     mass=0.1,
+        ...     joint_axes=["pitch", [0, 0.6, 0.8]],
+        ...     parameters={
+        ...         "joints.pitch_stiffness": 2.0,
+        ...         "joints.yaw_stiffness": 3.0,
+        ...         "joints.damping": 0.01,
+        ...     },
         ... )
     """
     if pair is not None and muscles is None:
         raise InputError('a pair of muscles is in no joint: give muscles="pitch" as well')
     if links < 1:
         raise InputError(f"an arm of {links} links cannot be built: give at least 1")
+    values = dict(parameters or {})
+    # Without axes nothing is built: their absence is named with all that is missing.
+    axes = named_axes("pitch_yaw" if joint_axes is None else joint_axes, links)
+    joints = Joints(axes=axes, laws=_laws_of(joint_laws))
+    pneumatics = None if muscles is None else muscles_in(muscles, pair, joints)
+    idle = idle_springs(joints, pneumatics)
+    given = {"links.length": length, "links.diameter": diameter, "links.mass": mass}
+    _check_stated({**values, **given}, joint_axes, idle)
+    joints = dataclasses.replace(joints, **idle)
 
     def per_link(name: str, value: Any, fallback: Any = None) -> Any:
         declared = declaration(Links, name)
@@ -351,9 +391,16 @@ def chain(
     length = per_link("length", length)
     diameter = per_link("diameter", diameter)
     mass = per_link("mass", mass)
+    centre_of_mass = per_link("centre_of_mass", centre_of_mass, length / 2)
     axial = mass * (diameter / 2) ** 2
+    if inertia is not None:
+        if inertia_transverse is not None or inertia_axial is not None:
+            raise InputError("inertia is the whole of it: leave out the transverse and axial one")
+        centre = np.stack([centre_of_mass, *np.zeros((2, links))], axis=1)
+        whole = six_points(mass, centre, _tensors(inertia, links), point_masses)
+        mass, inertia_axial, inertia_transverse, point_masses = whole
     air: dict[str, Any] = {"strip_points": strip_points, "drag_curve": drag_curve}
-    air |= {"drag": drag, "added_mass": added_mass}
+    air |= {"drag": drag, "added_mass": added_mass, "drag_coefficient": 1.0}
     law = None
     if isinstance(drag, AbstractDragLaw):
         law = drag
@@ -366,14 +413,12 @@ def chain(
         # The coefficient of eq. (1) is at its bound, so that no fit frees it.
         air |= {"drag": "centre", "law": law, "drag_coefficient": 0.0}
     air |= {} if air_density is None else {"density": air_density}
-    joints = Joints(axes=named_axes(joint_axes, links), laws=_laws_of(joint_laws))
-    pneumatics = None if muscles is None else muscles_in(muscles, pair, joints)
     arm = Arm(
         links=Links(
             length=length,
             diameter=diameter,
             mass=mass,
-            centre_of_mass=per_link("centre_of_mass", centre_of_mass, length / 2),
+            centre_of_mass=centre_of_mass,
             inertia_transverse=per_link(
                 "inertia_transverse", inertia_transverse, axial / 2 + mass * length**2 / 12
             ),
@@ -389,7 +434,6 @@ def chain(
         base_rotation=base_rotation,
         gravity=gravity,
     )
-    values = dict(parameters or {})
     if trim and "buoyancy.trim_mass" in values:
         raise InputError(
             "trim computes buoyancy.trim_mass, which is among the parameters, too: leave one out"
@@ -409,7 +453,7 @@ def chain(
         if not type(each).__module__.startswith("giajax."):
             check_joint_law(each, links)
     if pneumatics is not None:
-        arm = dataclasses.replace(arm, joints=without_idle_springs(arm.joints, pneumatics))
+        arm = dataclasses.replace(arm, joints=dataclasses.replace(arm.joints, **idle))
     return trimmed(arm, level="buoyancy.trim_position" not in values) if trim else arm
 
 
@@ -436,6 +480,21 @@ def with_wind(arm: Arm, wind: str | AbstractWind | Callable[..., Any]) -> Arm:
     straight = jnp.zeros((3, arm.count + 1), ends.dtype).at[0].set(ends)
     check_wind(field, rotate(turn[:, None], straight).T)
     return dataclasses.replace(arm, air=dataclasses.replace(arm.air, wind_field=field))
+
+
+def _check_stated(values: Mapping[str, Any], axes: Any, idle: Mapping[str, float]) -> None:
+    """Refuse an arm that somebody describes without what has no neutral value."""
+    missing = [
+        each.path if each.key is None else f"{each.path} ({each.key.name})"
+        for each in NO_NEUTRAL
+        if values.get(each.path) is None and each.path.removeprefix("joints.") not in idle
+    ]
+    missing += ["joint_axes"] if axes is None else []
+    if missing:
+        raise InputError(
+            f"this arm has no {', '.join(missing)}: state what is missing (0 is a value), or begin "
+            "with a preset, such as takeichi_20m"
+        )
 
 
 def _laws_of(laws: Sequence[str | AbstractJointLaw]) -> dict[str, AbstractJointLaw]:
@@ -465,6 +524,18 @@ def _laws_of(laws: Sequence[str | AbstractJointLaw]) -> dict[str, AbstractJointL
 _OTHERS = [name for name in Links.__dataclass_fields__ if name not in signature(chain).parameters]
 
 
+def _tensors(inertia: Any, links: int) -> np.ndarray:
+    """Matrices of inertia, shape (link, 3, 3), of six numbers for all links or each."""
+    array = np.asarray(inertia, dtype=float)
+    if array.shape not in ((6,), (links, 6)) or not np.all(np.isfinite(array)):
+        raise InputError(
+            f"inertia has the shape {array.shape}: give six finite numbers (xx, yy, zz, xy, xz, "
+            f"yz), or such a row for each of {links} links"
+        )
+    rows = np.broadcast_to(array, (links, 6))
+    return rows[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(links, 3, 3)
+
+
 def _with_parameters(arm: Arm, values: Mapping[str, Any]) -> Arm:
     for path, value in values.items():
         array = np.asarray(value, dtype=float)
@@ -484,23 +555,27 @@ def _with_parameters(arm: Arm, values: Mapping[str, Any]) -> Arm:
     return checked(arm)
 
 
-STANDARD_GRAVITY = 9.80665
-
-
 def takeichi_20m(links: int = 20, **changes: Any) -> Arm:
     """The 20 m, 20-link helium-balloon arm of Takeichi, Suzumori, Endo and Nabae.
 
     Alternating pitch and yaw joints, links of 0.99 m, 0.30 m and 0.047 kg (table 2), drag by
     eq. (1), no gravity because trim weights balance the buoyancy. Stiffnesses, damping and C_D
     are assumed: the paper gives none, and finding them is a fit's job. `changes` are arguments of
-    `chain`.
+    `chain`, which has none of these numbers.
 
     Example:
         >>> import giajax
         >>> giajax.takeichi_20m().count
         20
     """
-    return chain(links, **changes)
+    paper = {name: getattr(LINKS, name).default for name in ("length", "diameter", "mass")}
+    paper |= {"joint_axes": "pitch_yaw", "gravity": BASE.gravity.default}
+    assumed = {each.path: each.default for each in NO_NEUTRAL if each.path.startswith("joints.")}
+    if changes.get("drag") in [None, *DRAGS]:
+        assumed[AIR.drag_coefficient.path] = AIR.drag_coefficient.default
+    assumed |= changes.pop("parameters", None) or {}
+    stated = {name: value for name, value in changes.items() if value is not None}
+    return chain(links, **(paper | stated), parameters=assumed)
 
 
 def takeichi_20m_full(links: int = 20, **changes: Any) -> Arm:
@@ -529,7 +604,7 @@ def takeichi_20m_full(links: int = 20, **changes: Any) -> Arm:
         "point_masses": camera,
     }
     parameters = {**extras, **(changes.pop("parameters", None) or {})}
-    return chain(links, **{**defaults, **changes}, parameters=parameters)
+    return takeichi_20m(links, **{**defaults, **changes}, parameters=parameters)
 
 
 def pendulum(links: int = 1, **changes: Any) -> Arm:
@@ -544,7 +619,7 @@ def pendulum(links: int = 1, **changes: Any) -> Arm:
     """
     absent = ("joints.pitch_stiffness", "joints.yaw_stiffness", "joints.damping")
     none = dict.fromkeys((*absent, "air.drag_coefficient"), 0.0)
-    defaults = {
+    defaults: dict[str, Any] = {
         "length": 1.0,
         "diameter": 0.02,
         "mass": 1.0,
@@ -560,6 +635,7 @@ PRESETS: dict[str, Callable[..., Arm]] = {
     "takeichi_20m": takeichi_20m,
     "takeichi_20m_full": takeichi_20m_full,
     "pendulum": pendulum,
+    "chain": chain,
 }
 """Presets by name; each takes the number of links and the arguments of `chain`."""
 
@@ -568,8 +644,10 @@ def preset(name: str, links: int | None = None, **changes: Any) -> Arm:
     """The preset of a name, changed by arguments of `chain`.
 
     Raises:
-        InputError: there is no such preset.
+        InputError: there is no such preset, or it has no number of links of its own.
     """
     if name not in PRESETS:
         raise InputError(f"there is no arm preset '{name}': use one of {', '.join(PRESETS)}")
+    if links is None and name == "chain":
+        raise InputError("this arm has no number of links: state links, or one of its lists")
     return PRESETS[name](**changes) if links is None else PRESETS[name](links, **changes)

@@ -249,8 +249,8 @@ class PointMasses(eqx.Module):
     """
 
     links: tuple[int, ...] = eqx.field(static=True)
-    mass: PerBody = parameter(POINT_MASSES.mass)
-    position: PerBody = parameter(POINT_MASSES.position)
+    mass: PerBody = parameter(POINT_MASSES.mass, default=False)
+    position: PerBody = parameter(POINT_MASSES.position, default=False)
     left: PerBody | None = parameter(POINT_MASSES.left)
     up: PerBody | None = parameter(POINT_MASSES.up)
     drag_area: PerBody | None = parameter(POINT_MASSES.drag_area)
@@ -265,6 +265,68 @@ class PointMasses(eqx.Module):
                     f"the point masses have {len(self.links)} links and a {name} of shape "
                     f"{value.shape}: give one number, or one each"
                 )
+
+
+_ROUND = 1e-9  # of the inertia of a link: how far it may be from one that is round about the link
+# Of the mass of a link that is not round: what is left to the link beside its point masses.
+_BARE = 1e-9
+
+
+def six_points(
+    mass: np.ndarray, centre: np.ndarray, inertia: np.ndarray, others: PointMasses | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, PointMasses | None]:
+    """Links with any inertia: one that is not round about its axis is its mass in six points.
+
+    They are two on each principal axis, with the mass, the centre and the inertia of the link.
+
+    Arguments:
+        mass: of each link, kg, shape (link,).
+        centre: of its mass, from its joint, in its frame, m, shape (link, 3).
+        inertia: about that centre, kg m^2, shape (link, 3, 3).
+        others: what the links carry besides.
+
+    Returns:
+        Mass, axial and transverse moment of inertia that are left to the links, and all points.
+
+    Raises:
+        InputError: no body has such an inertia.
+    """
+    rows, links = [], []
+    left, moments = np.array(mass), np.diagonal(inertia, axis1=1, axis2=2).copy()
+    for link, (whole, place, tensor) in enumerate(zip(mass, centre, inertia, strict=True)):
+        principal, axes = np.linalg.eigh(tensor)
+        scale = principal.sum()
+        if not (scale > 0 and 2 * principal[-1] <= (1 + 1e-6) * scale):
+            raise InputError(
+                f"no body has the inertia of link {link + 1}, whose principal moments are "
+                f"{', '.join(f'{moment:.3g}' for moment in principal)} kg m^2: the largest must be "
+                "positive, and at most the sum of the others"
+            )
+        moment = moments[link]
+        uneven = np.abs(tensor - np.diag(moment)).max() + abs(moment[1] - moment[2])
+        offset = np.linalg.norm(place[1:])
+        if uneven <= _ROUND * scale and whole * offset**2 <= _ROUND**2 * scale:
+            continue
+        left[link], moments[link] = whole * _BARE, _BARE * scale
+        each = (whole - left[link]) / 6
+        second = np.maximum(scale / 2 - principal, 0)
+        for axis, reach in zip(axes.T, np.sqrt(second / (2 * each)), strict=True):
+            rows += [(each, *(place + sign * reach * axis)) for sign in (-1, 1)]
+            links += [link + 1] * 2
+    if rows:
+        columns = dict(zip(("mass", "position", "left", "up"), np.asarray(rows).T, strict=True))
+        if others is not None:
+            if others.drag_area is not None:
+                columns["drag_area"] = np.zeros(len(rows))
+            links += others.links
+            for name, own in columns.items():
+                value = getattr(others, name)
+                carried = np.zeros(len(others.links)) + (
+                    0.0 if value is None else np.asarray(value)
+                )
+                columns[name] = np.concatenate([own, carried])
+        others = PointMasses(links=tuple(links), **columns)
+    return left, moments[:, 0], moments[:, 1], others
 
 
 class Contact(eqx.Module):

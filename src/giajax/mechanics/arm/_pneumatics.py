@@ -4,7 +4,6 @@ The statics of a pair are those of `giajax.mechanics.joint`; here they act in th
 motion.
 """
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -242,10 +241,10 @@ def muscles_in(muscles: str | Sequence[int], pair: JointPair | None, joints: Joi
     return Pneumatics(tuple(numbers.tolist()), **own)
 
 
-def without_idle_springs(joints: Joints, pneumatics: Pneumatics) -> Joints:
-    """Joints in which a stiffness that no spring has is 0, so that no fit looks for it."""
-    sprung = np.setdiff1d(np.arange(len(joints.axes)), np.asarray(pneumatics.joints) - 1)
+def idle_springs(joints: Joints, pneumatics: Pneumatics | None) -> dict[str, Any]:
+    """Stiffnesses that no spring has, as 0, so that no fit looks for them."""
+    driven = () if pneumatics is None else pneumatics.joints
+    sprung = np.setdiff1d(np.arange(len(joints.axes)), np.asarray(driven, dtype=int) - 1)
     yaws = joints.is_yaw[sprung]
-    idle: dict[str, Any] = {} if np.any(yaws) else {"yaw_stiffness": jnp.zeros(())}
-    idle |= {} if np.any(~yaws) else {"pitch_stiffness": jnp.zeros(())}
-    return dataclasses.replace(joints, **idle)
+    idle = {"yaw_stiffness": np.any(yaws), "pitch_stiffness": np.any(~yaws)}
+    return {name: 0.0 for name, used in idle.items() if not used}
