@@ -15,7 +15,9 @@ MODEL = ArmModel(takeichi_20m())
 
 def listed(capsys, *options):
     assert main(["parameters", "--json", *options]) == 0
-    return {fact["path"]: fact for fact in json.loads(capsys.readouterr().out)}
+    out, err = capsys.readouterr()
+    assert err == ""
+    return {fact["path"]: fact for fact in json.loads(out)}
 
 
 def test_the_table_has_a_row_for_every_declaration(capsys):
@@ -95,11 +97,17 @@ def test_what_an_arm_file_or_preset_switches_on_is_on(capsys, tmp_path):
     assert listed(capsys, "--preset", "takeichi_20m_full")["air.added_mass_coefficient"]["on"]
     path = tmp_path / "arm.toml"
     path.write_text("[arm]\nlinks = 3\n[sensors]\ncamera_scale = 1.1\n")
-    mine = listed(capsys, "--arm", str(path))
+    assert listed(capsys, "--arm", str(path), "--preset", "takeichi_20m")["camera.scale"]["on"]
+    assert main(["parameters", "--json", "--arm", str(path)]) == 0
+    out, err = capsys.readouterr()
+    mine = {fact["path"]: fact for fact in json.loads(out)}
+    assert "[arm] names no preset: the constants of the preset takeichi_20m are assumed" in err
     assert mine["camera.scale"]["on"]
     assert mine["links.mass"]["elements"] == 3
     assert main(["parameters", "--preset", "none"]) == 2
     assert "no arm preset 'none'" in capsys.readouterr().err
+    assert main(["parameters", "--preset", "chain", "--links", "2"]) == 2
+    assert "has no links.length (link_length_m), links.diam" in capsys.readouterr().err
 
 
 RUN = """\

@@ -123,6 +123,22 @@ def test_a_fitted_mass_is_conditional_on_the_forces():
     assert model.conditions(["gravity"], []) == []
 
 
+def test_what_an_unnamed_preset_gave_is_a_condition(run):
+    """Of a run whose sidecar names none: what is held, where the model has it from there."""
+
+    def said(model, free=()):
+        return [each for each in model.conditions(free, [run]) if "names no preset" in each]
+
+    model = model_for([run])
+    (sentence,) = said(model)
+    assert "the constants of the preset takeichi_20m are assumed" in sentence
+    (sentence,) = said(model, [*giajax.schema.parameters.default_free(model), "links.mass[0]"])
+    assert ": links.length, links.diameter, gravity, joint_axes of the preset" in sentence
+    sizes = {"length": 0.5, "diameter": 0.1, "mass": 0.1, "joint_axes": ["yaw"] * LINKS}
+    known = {"joints.yaw_stiffness": 1.0, "joints.damping": 0.1}
+    assert said(ArmModel(giajax.chain(LINKS, **sizes, parameters=known))) == []
+
+
 def test_long_runs_get_more_steps():
     times = np.linspace(0.0, 3000.0, 301)
     run = Run.from_arrays(

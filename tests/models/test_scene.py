@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax import InputError, JointModel, MuscleModel, Run, joint_steps, predict, simulate
+from giajax import (
+    InputError,
+    JointModel,
+    MuscleModel,
+    Run,
+    joint_steps,
+    predict,
+    simulate,
+    takeichi_20m,
+)
 from giajax.mechanics.arm import Contact, drag_force
 from giajax.mechanics.joint import Joint, muscle_path
 from giajax.mechanics.obstacles import Plane

@@ -48,15 +48,15 @@ def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
     return model_for(runs) if path is None or not is_result(path) else load_result(path).model
 
 
-def arm_of(path: Path | None) -> "Definition":
-    """What the file of an arm says; where it leaves something to a preset, a line says so."""
+def arm_of(path: Path | None, preset: str | None = None) -> "Definition":
+    """What the file of an arm says; a line says where neither it nor an option names a preset."""
     from ..recordings import Definition
     from ..schema import ArmSection, from_default_preset, preset_sentence
 
     if path is None:
         return Definition()
     definition = Definition.load(path)
-    if taken := from_default_preset(definition.section(ArmSection)):
+    if preset is None and (taken := from_default_preset(definition.section(ArmSection))):
         typer.echo(f"note: {path}: {preset_sentence(taken)}", err=True)
     return definition
 
@@ -95,7 +95,7 @@ def parameters(
     if run is not None and (arm or preset or links is not None):
         raise InputError("a run says which model it is of: leave out --arm, --preset and --links")
     recorded = None if run is None else read_run(run)
-    definition = arm_of(arm)
+    definition = arm_of(arm, preset)
     options = {"preset": preset, "links": links}
     section = {key: value for key, value in options.items() if value is not None}
     definition = definition.merged_with(Definition.parse({"arm": section}, "the command line"))

@@ -212,7 +212,9 @@ def links_of(section: ArmSection) -> int | None:
     """The number of links of a section or of its preset; None if it is not known here."""
     if section.links is not None:
         return section.links
-    return DEFAULT_LINKS if section.preset in (None, DEFAULT_PRESET) else None
+    if section.preset in (None, DEFAULT_PRESET):
+        return DEFAULT_LINKS
+    return next((len(value) for value in section.lists().values()), None)
 
 
 def _check(content: RecordedRun, naming: Naming) -> None:

@@ -493,10 +493,12 @@ class ArmSection(_Surroundings):
     def lists(self) -> dict[str, list[Any]]:
         """The lists that have one value for each link or joint, by key."""
         lists = {"joint_axes": self.joint_axes, "link_inertia_kg_m2": self.link_inertia_kg_m2}
-        own = {name: value for name, value in lists.items() if isinstance(value, list)}
-        one = self.link_inertia_kg_m2 and not isinstance(self.link_inertia_kg_m2[0], list)
-        if one:
-            del own["link_inertia_kg_m2"]
+        own = {
+            name: value
+            for name, value in lists.items()
+            # Six numbers alone are the inertia of all links.
+            if isinstance(value, list) and not all(isinstance(x, int | float) for x in value)
+        }
         return {**own, **each_of(self)}
 
     def check_lists(self, links: int | None) -> None:

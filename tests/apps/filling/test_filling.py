@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import giajax
-from giajax import InputError, fill, replace
+from giajax import InputError, fill, replace, takeichi_20m
 from giajax.apps.filling import State, filling_curve, rates
 from giajax.mechanics.inflation import Filling, Ports, Supply
 from giajax.schema import FillingSection
