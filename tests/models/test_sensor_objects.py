@@ -134,7 +134,7 @@ def test_the_tension_of_what_hangs_is_the_weight_below_it():
     shown = TensionSensor(offset=0.5).values(motion)
     assert np.allclose(shown, [GRAVITY * np.array([6.0, 5.0, 3.0]) + 0.5], rtol=1e-12)
     # What floats pulls upwards, and what stands is pressed together.
-    standing = giajax.chain(
+    standing = giajax.takeichi_20m(
         2, gravity=GRAVITY, buoyancy=True, base_rotation=(0.0, -np.pi / 2, 0.0), mass=[0.02, 0.2]
     )
     excess = GRAVITY * np.asarray(giajax.mechanics.arm.net_lift(standing))
@@ -153,7 +153,7 @@ def test_the_tension_of_a_pendulum_that_swings_is_its_closed_form():
 def test_the_force_of_a_joint_is_that_of_newton_on_what_is_beyond_it():
     """From second differences of the centres of mass, drag, lift, and what obstacles press."""
     ground = giajax.mechanics.obstacles.Plane(centre=[0.0, 0.0, -0.1])
-    arm = giajax.chain(
+    arm = giajax.takeichi_20m(
         3,
         gravity=GRAVITY,
         buoyancy=True,
@@ -184,7 +184,7 @@ def test_the_force_of_a_joint_is_that_of_newton_on_what_is_beyond_it():
 
 
 def test_the_curvature_is_the_angle_over_the_mean_length_of_the_links():
-    motion = moving(giajax.chain(3, length=[1.0, 2.0, 4.0]), [0.3, -0.3, 0.6])
+    motion = moving(giajax.takeichi_20m(3, length=[1.0, 2.0, 4.0]), [0.3, -0.3, 0.6])
     shown = CurvatureSensor(offset=[0.0, 0.0, 0.1]).values(motion)
     assert np.allclose(shown, [[0.3, -0.2, 0.3]], rtol=1e-12)
 

@@ -168,7 +168,7 @@ def test_drives_that_are_none(model):
 
 def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "arm.toml").write_text("[arm]\nlinks = 3\n")
+    (tmp_path / "arm.toml").write_text("[arm]\npreset = 'takeichi_20m'\nlinks = 3\n")
     table = pad(4.0)
     rows = np.stack(list(table.values()), axis=1)
     np.savetxt("pad.csv", rows, delimiter=",", header=",".join(table), comments="")
