@@ -51,12 +51,13 @@ def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
 def arm_of(path: Path | None, preset: str | None = None) -> "Definition":
     """What the file of an arm says; a line says where neither it nor an option names a preset."""
     from ..recordings import Definition
-    from ..schema import ArmSection, from_default_preset, preset_sentence
+    from ..schema import ARM, ArmSection, from_default_preset, preset_sentence
 
     if path is None:
         return Definition()
     definition = Definition.load(path)
-    if preset is None and (taken := from_default_preset(definition.section(ArmSection))):
+    taken = from_default_preset(definition.section(ArmSection))
+    if taken and preset is None and definition.model in (None, ARM.name):
         typer.echo(f"note: {path}: {preset_sentence(taken)}", err=True)
     return definition
 
