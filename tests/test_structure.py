@@ -110,6 +110,27 @@ def test_no_room_imports_upwards():
     assert not upwards, "\n".join(sorted(upwards))
 
 
+def named_in_text(tree):
+    """Modules of giajax that are imported by a name that is text."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
+            name = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
+            texts = [part.value for part in ast.walk(node) if isinstance(part, ast.Constant)]
+            if name == "import_module":
+                yield from (text for text in texts if str(text).startswith("giajax."))
+
+
+def test_one_room_is_imported_upwards_when_it_is_called():
+    """What draws a result, by the record of it (docs/architecture.md)."""
+    found = [
+        (named(path), module)
+        for path in files()
+        if path.name != "aliases.py"  # of the earlier names
+        for module in named_in_text(parsed(path))
+    ]
+    assert found == [("src/giajax/fitting/_result.py", "giajax.report")]
+
+
 def test_no_files_import_in_a_circle():
     """Neither where they are imported, nor within functions or for types."""
     graph = {module_of(path): modules_imported(path) for path in SOURCE.rglob("*.py")}
@@ -200,6 +221,7 @@ from giajax import models
 from ..fitting import fit
 def later():
     import giajax.cli._fit
+    importlib.import_module("giajax.report")
     if isinstance(x, (int, models.ArmModel)):
         match x:
             case JointModel():
@@ -214,6 +236,7 @@ def test_the_reading_sees_what_it_must():
     assert reading == {
         "giajax", "giajax.models", "giajax.fitting", "giajax.fitting.fit", "giajax.cli._fit",
     }  # fmt: skip
+    assert list(named_in_text(tree)) == ["giajax.report"]
     asked = {name for _, name in kinds_asked_for(tree)}
     assert {"int", "ArmModel", "JointModel"} <= asked
     for above, below in itertools.pairwise(["cli", "fitting", "models", "recordings", "schema"]):

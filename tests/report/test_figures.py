@@ -1,6 +1,7 @@
 """The figures: what they draw, that they are not blank, and that nothing global changes."""
 
 import dataclasses
+import pickle
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -11,7 +12,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from giajax import InputError
-from giajax.fitting import ChannelFit, Correlation, RunFit
+from giajax.fitting import ChannelFit, Correlation, RunFit, parse_result
 from giajax.models import model_for
 from giajax.recordings import Run
 from giajax.report import correlation_figure, plot, recorded_figure, residuals_figure, to_png
@@ -56,13 +57,51 @@ def test_one_panel_a_channel_in_the_units_of_the_file(result, run):
 
 
 def test_a_fit_is_drawn_from_its_result_and_its_run(result, run):
-    (_, _, panel) = panels(plot(result, run))
-    np.testing.assert_allclose(panel.lines[1].get_ydata(), result.predictions[0]["link04_z"])
-    with pytest.raises(InputError, match="it was not fitted as it is now"):
+    for figure in (plot(result, run), result.plot(run), result.plot(), parsed(result).plot()):
+        (_, _, panel) = panels(figure)
+        np.testing.assert_allclose(panel.lines[1].get_ydata(), result.predictions[0]["link04_z"])
+    with pytest.raises(InputError, match=r"it was not fitted as it is now.*predict"):
         plot(result, dataclasses.replace(run, name="another"))
     twice = dataclasses.replace(result, runs=result.runs * 2)
     with pytest.raises(InputError, match="several of that name"):
         plot(twice, run)
+    with pytest.raises(InputError, match="2 runs were fitted: say which"):
+        twice.plot()
+    unfiled = dataclasses.replace(result.runs[0], path=None, sha256=None)
+    with pytest.raises(InputError, match="was made in memory"):
+        dataclasses.replace(parsed(result), runs=(unfiled,)).plot()
+
+
+def parsed(result):
+    """As it is loaded: without predictions."""
+    return parse_result(result.to_json(), result.model)
+
+
+def test_a_prediction_is_drawn_over_what_was_recorded(result, run):
+    """Of a run that was not fitted, and of a channel that no run recorded."""
+    other = dataclasses.replace(run, name="another")
+    figure = result.predict(other, ["link04_z", "tip_x"]).plot()
+    both, alone = panels(figure)
+    assert figure.get_suptitle() == "another: recorded and predicted"
+    predicted = result.predict(other, ["link04_z", "tip_x"])
+    assert np.array_equal(both.lines[0].get_ydata(), run.observations["link04_z"], equal_nan=True)
+    assert np.array_equal(both.lines[1].get_ydata(), predicted["link04_z"])
+    assert np.isnan(alone.lines[0].get_ydata()).all()
+    assert np.array_equal(alone.lines[1].get_ydata(), predicted["tip_x"])
+    assert (both.get_title(loc="right")[:4], alone.get_title(loc="right")) == ("RMSE", "")
+
+    plain = result.predict(other, ["tip_x", "tip_y", "tip_z"]).plot()
+    assert plain.get_suptitle() == "another: predicted"
+    assert [text.get_text() for text in plain.legends[0].get_texts()] == ["predicted"]
+    with pytest.raises(InputError, match="no channel of the run another is predicted"):
+        result.predict(other, []).plot()
+
+
+def test_a_prediction_stays_one_between_processes(result, run):
+    predicted = result.predict(run)
+    again = pickle.loads(pickle.dumps(predicted))
+    assert again.run.name == run.name
+    assert again.keys() == predicted.keys() == run.observations.keys()
 
 
 def test_a_result_is_a_frame(result):

@@ -108,6 +108,7 @@ from ._records import (
 from ._result import (
     FitResult as FitResult,
     IntegrationFit as IntegrationFit,
+    PredictedRun as PredictedRun,
     errors_of as errors_of,
     load_result as load_result,
     parse_result as parse_result,

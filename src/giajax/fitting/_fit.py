@@ -25,7 +25,7 @@ from ._estimates import estimates, findings, own_estimates
 from ._loop import Budget, advance_alone, descend
 from ._problem import Problem, predictions_by_run
 from ._records import ChannelFit, Correlation, Iteration, NoiseFit, OwnEstimate, RunFit, Seconds
-from ._result import FitResult, integration_of
+from ._result import FitResult, PredictedRun, integration_of
 from ._statistics import Statistics, statistics
 from ._steps import CHANGED, FitJournal, FitState, Reason, begin, journal_writer, restored
 from ._uncertainty import verdict
@@ -87,7 +87,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         versions={**versions(), **sources_of((model, setup.loss, setup.settings.optimiser))},
         config={**setup.config, "max_iterations": max_iterations},
         history=state.history,
-        predictions=tuple(predictions),
+        predictions=tuple(map(PredictedRun, setup.runs, predictions)),
     )
 
 

@@ -43,7 +43,7 @@ from ..runtime.text import InputError
 from ._configuration import Setup, WarmStart, between, set_up
 from ._problem import predictions_by_run
 from ._records import HeldChannel, HeldOut, recorded_noise
-from ._result import FitResult, errors_of
+from ._result import FitResult, PredictedRun, errors_of
 from ._steps import FitState, at_tolerance, begin, move, reweight, step
 from ._uncertainty import TOLERANCE, prior_gram, residual_cells, series_of, shared_and_own
 from ._weights import Noise
@@ -91,9 +91,9 @@ class HoldOut:
                 found = errors_of(part.held, known).channels
                 errors = {name: found[name].rmse if name in found else math.inf for name in names}
                 records.append(_record(part.whole, part.held, errors, of_run))
-                of_held.append(known)
+                of_held.append(PredictedRun(part.held, known))
             if part.fitted is not None:
-                of_fitted.append({**known, **next(fitted)})
+                of_fitted.append(PredictedRun(part.fitted, {**known, **next(fitted)}))
         return dataclasses.replace(
             result,
             held_out=tuple(records),

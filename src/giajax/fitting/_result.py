@@ -2,6 +2,7 @@
 
 import dataclasses
 import html
+import importlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import field
@@ -45,6 +46,7 @@ from ._steps import FitState, Reason
 
 if TYPE_CHECKING:
     import polars as pl
+    from matplotlib.figure import Figure
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,14 +73,41 @@ def integration_of(state: FitState) -> IntegrationFit | None:
     return IntegrationFit(integration.solver, integration.tolerance, chosen)
 
 
+def _drawn(function: str, *arguments: object) -> "Figure":
+    """A picture by the room `report`, which is above this one and so is named in text alone.
+
+    It is the one room that is bound late, so that a notebook draws what it holds.
+    """
+    figure: Figure = getattr(importlib.import_module("giajax.report"), function)(*arguments)
+    return figure
+
+
+class PredictedRun(dict[str, np.ndarray]):
+    """Channels that a model predicts for a run: arrays in SI units of shape (sample,), by name.
+
+    Attributes:
+        run: the run.
+    """
+
+    def __init__(self, run: Run, channels: Mapping[str, np.ndarray]) -> None:
+        super().__init__(channels)
+        self.run = run
+
+    def plot(self) -> "Figure":
+        """The picture of what is predicted, and of what the run recorded of it, in its units.
+
+        Raises:
+            InputError: no channel is predicted.
+        """
+        return _drawn("prediction_figure", self)
+
+
 @program
 def _predict(model: AbstractModel, inputs: object, channels: tuple[str, ...]) -> Channels:
     return model.predict(inputs, channels)[0]
 
 
-def predict(
-    model: AbstractModel, run: Run, channels: Sequence[str] | None = None
-) -> dict[str, np.ndarray]:
+def predict(model: AbstractModel, run: Run, channels: Sequence[str] | None = None) -> PredictedRun:
     """Channels that a model predicts for a run.
 
     Arguments:
@@ -88,14 +117,14 @@ def predict(
 
     Returns:
         Arrays in SI units of shape (sample,) by channel name; infinite or NaN where the
-        simulation did not arrive.
+        simulation did not arrive. Their `plot()` is the picture of them and the run.
 
     Raises:
         InputError: an unknown channel, or a run of another model.
     """
     names = tuple(run.observations if channels is None else channels)
     predicted = _predict(model, model.prepare(run), names)
-    return {name: np.asarray(predicted[name]) for name in names}
+    return PredictedRun(run, {name: np.asarray(predicted[name]) for name in names})
 
 
 def prediction_errors(
@@ -168,7 +197,7 @@ class FitResult:
         systematic: what held numbers do to the fitted ones (`giajax.systematic_errors`); likewise.
         task: how `giajax.FitTask.again` fits it again: files with their checksums, and settings;
             empty for a fit of runs without a task.
-        predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
+        predictions: what is predicted of each run (SI), by name; empty after `load_result`.
         held_predictions: those of each of `held_out`, likewise.
         reason: what ended the fit: "optimum"; "iterations" or "budget", which were used up;
             "rough" (no step lowers a cost that is not smooth), "wall" (the model cannot be
@@ -204,8 +233,8 @@ class FitResult:
     suspects: tuple[Suspect, ...] = ()
     systematic: tuple[SystematicError, ...] = ()
     task: dict[str, Any] = field(default_factory=dict)
-    predictions: tuple[dict[str, np.ndarray], ...] = ()
-    held_predictions: tuple[dict[str, np.ndarray], ...] = ()
+    predictions: tuple[PredictedRun, ...] = ()
+    held_predictions: tuple[PredictedRun, ...] = ()
     reason: Reason = ""
 
     @property
@@ -228,7 +257,19 @@ class FitResult:
         held = {path: self.parameters[path] for path in chosen if path in self.parameters}
         return {**self.free, **rows_of_runs(self.runs, self.free), **self.derived, **held}
 
-    def predict(self, run: Run, channels: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+    def plot(self, run: Run | None = None) -> "Figure":
+        """The picture of what a fitted run recorded and of what the fit predicts of it.
+
+        Arguments:
+            run: one of those that were fitted; not needed where it was one alone, which a result
+                that was loaded reads again from its file.
+
+        Raises:
+            InputError: as `giajax.report.plot`.
+        """
+        return _drawn("plot", self, run)
+
+    def predict(self, run: Run, channels: Sequence[str] | None = None) -> PredictedRun:
         """Channels that the fitted model predicts for a run.
 
         Arguments, results and errors are those of `giajax.predict`.

@@ -16,6 +16,7 @@ from ._pages import (
 from ._pictures import (
     correlation_figure as correlation_figure,
     plot as plot,
+    prediction_figure as prediction_figure,
     recorded_figure as recorded_figure,
     residuals_figure as residuals_figure,
 )

@@ -1,5 +1,6 @@
 """The pictures that a fit leaves: recorded and fitted values, residuals, correlations."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,10 +11,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from ..fitting import FitResult, HeldOut, RunFit
+from ..fitting import FitResult, HeldOut, PredictedRun, PredictionErrors, RunFit, errors_of
 from ..noise import by_second_differences
 from ..recordings import Channel, Run, observing, unique_names
 from ..runtime.text import InputError
+from ..tasks import fitted_runs
 from ._style import (
     BLUE,
     GREEN,
@@ -124,15 +126,25 @@ _SHADES = {False: GREY, True: VERMILLION}
 _COMPONENTS = {"x": BLUE, "y": VERMILLION, "z": GREEN}
 
 
-def plot(result: FitResult, run: Run) -> Figure:
+def plot(result: FitResult, run: Run | None = None) -> Figure:
     """What a run recorded, and what a fit predicts of it, in the units of the run.
 
+    Also `result.plot(run)`. Without a run it is that of a fit of one run, read again from its file
+    where the result was loaded.
+
     Raises:
-        InputError: as `giajax.predict`; or the run is none of the fitted ones.
+        InputError: as `giajax.predict`; the run is none of the fitted ones; or none is given, and
+            there are several or it has no file.
 
     Example:
-        >>> giajax.report.plot(result, run).savefig("fit.png")  # doctest: +SKIP
+        >>> result.plot().savefig("fit.png")  # doctest: +SKIP
     """
+    if run is None:
+        if len(result.runs) != 1:
+            raise InputError(
+                f"{len(result.runs)} runs were fitted: say which one to draw, as result.plot(run)"
+            )
+        (run,) = [each.run for each in result.predictions] or fitted_runs(result)
     known = (run.name, run.sha256)
     records = [each for each in result.runs if (each.name, each.sha256) == known]
     if len(records) != 1:
@@ -140,9 +152,39 @@ def plot(result: FitResult, run: Run) -> Figure:
         names = ", ".join(dict.fromkeys(each.name for each in result.runs))
         raise InputError(
             f"the run {run.name} has no record of its own, as {why}: give one of those that were "
-            f"({names})"
+            f"({names}), or draw result.predict(run).plot()"
         )
     return recorded_figure(result, run, result.predict(run), records[0])
+
+
+def prediction_figure(predicted: PredictedRun) -> Figure:
+    """What a model predicts for a run, over what that recorded, in its units; as `recorded_figure`.
+
+    Also `result.predict(run).plot()`. A channel that the run does not have is in SI units.
+
+    Raises:
+        InputError: no channel is predicted.
+    """
+    run = predicted.run
+    if not predicted:
+        raise InputError(
+            f"no channel of the run {run.name} is predicted, as it recorded none: name some, as "
+            "predict(run, channels=[...])"
+        )
+    more = {name: Channel.named(name) for name in predicted if name not in run.channels}
+    blank = np.full(len(sample_times(run)), np.nan)
+    values = {**run.values, **dict.fromkeys(more, blank)}
+    channels = {**run.channels, **more}
+    run = dataclasses.replace(run, values=values, channels=channels, observed=tuple(predicted))
+    known = {
+        name: values
+        for name, values in predicted.items()
+        if not np.isnan(run.observations[name]).all()
+    }
+    title = f"{run.name}: {'recorded and ' if known else ''}predicted"
+    return _figure(
+        title, "predicted", run, predicted, errors_of(run, known), any_recorded=bool(known)
+    )
 
 
 def recorded_figure(
@@ -163,12 +205,26 @@ def recorded_figure(
         record: the run's entry in `result.runs`, or in `result.held_out`.
         held: what was held out of it, which is drawn hollow; `run` itself for a picture of it.
     """
+    alone = held is run
+    what = "held out and predicted" if alone else "recorded and fitted"
+    title, line = f"{run.name}: {what}{unfinished(result)}", "predicted" if alone else "fitted"
+    return _figure(title, line, run, predicted, record, held, any_recorded=not alone)
+
+
+def _figure(
+    title: str,
+    line: str,
+    run: Run,
+    predicted: Mapping[str, np.ndarray],
+    record: RunFit | HeldOut | PredictionErrors,
+    held: Run | None = None,
+    *,
+    any_recorded: bool,
+) -> Figure:
+    """As `recorded_figure`; `line` is what the legend calls the prediction."""
     panels, left_out = _panels(run)
     columns = next(c for c, most in _COLUMNS if len(panels) <= most)
     rows = -(-len(panels) // columns)
-    alone = held is run
-    what = "held out and predicted" if alone else "recorded and fitted"
-    title = f"{run.name}: {what}{unfinished(result)}"
     if left_out:
         title += f"; {left_out} more channels are in prediction.csv"
     over, label = abscissa(run)
@@ -188,7 +244,8 @@ def recorded_figure(
     hollow = held is not None and any(
         name in held.observations for names in panels for name in names
     )
-    _legend(figure, any(len(names) > 1 for names in panels), hollow=hollow, alone=alone)
+    several = any(len(names) > 1 for names in panels)
+    _legend(figure, line, several, hollow=hollow, any_recorded=any_recorded)
     return figure
 
 
@@ -208,7 +265,7 @@ def _draw_panel(
     run: Run,
     over: np.ndarray,
     predicted: Mapping[str, np.ndarray],
-    record: RunFit | HeldOut,
+    record: RunFit | HeldOut | PredictionErrors,
     held: Run | None,
 ) -> None:
     channels = [run.channels[name] for name in names]
@@ -239,7 +296,8 @@ def _draw_panel(
     label = channel_label(channels[0])
     plain(axes, label if len(names) == 1 else label.replace(names[0], names[0][:-2]))
     axes.yaxis.set_major_locator(MaxNLocator(5))
-    known = [rmse for name in names if (rmse := record.channels[name].rmse) is not None]
+    records = [record.channels[name] for name in names if name in record.channels]
+    known = [one.rmse for one in records if one.rmse is not None]
     if len(known) == len(names):
         axes.set_title(f"RMSE {max(known):.3g}", fontsize=8, loc="right", color=GREY)
 
@@ -248,11 +306,13 @@ def _colour(channel: Channel) -> str:
     return BLUE if channel.component is None else _COMPONENTS["xyz"[channel.component]]
 
 
-def _legend(figure: Figure, components: bool, *, hollow: bool, alone: bool) -> None:
+def _legend(
+    figure: Figure, line: str, components: bool, *, hollow: bool, any_recorded: bool
+) -> None:
     """One legend for all panels, in the title's line."""
     dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4}
-    recorded: dict[str, str] = {} if alone else {"recorded": GREY}
-    if components:
+    recorded: dict[str, str] = {"recorded": GREY} if any_recorded else {}
+    if components and (any_recorded or hollow):
         recorded = {f"{name} recorded": colour for name, colour in _COMPONENTS.items()}
     handles = [Line2D([], [], color=c, label=name, **dots) for name, c in recorded.items()]
     if hollow:
@@ -260,8 +320,7 @@ def _legend(figure: Figure, components: bool, *, hollow: bool, alone: bool) -> N
         handles.append(
             Line2D([], [], color=colour, markerfacecolor="none", label="held out", **dots)
         )
-    word = "predicted" if alone else "fitted"
-    handles.append(Line2D([], [], color=INK if components else BLUE, linewidth=1.4, label=word))
+    handles.append(Line2D([], [], color=INK if components else BLUE, linewidth=1.4, label=line))
     figure.legend(
         handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False
     )
