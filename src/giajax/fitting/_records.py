@@ -5,7 +5,6 @@ them.
 """
 
 import dataclasses
-import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -257,7 +256,7 @@ _LEAST_REMARK = 36
 _NUMBERS = ("value", "error")
 
 
-class _Row(NamedTuple):
+class EstimateRow(NamedTuple):
     """The cells of one estimate; their names are the headings."""
 
     parameter: str
@@ -279,15 +278,15 @@ def estimate_table(estimates: Mapping[str, Estimate], width: int | None = None) 
     Returns:
         The lines, without a newline at the end.
     """
-    headings = _Row(*_Row._fields)
-    rows = _rows(estimates)
+    headings = EstimateRow(*EstimateRow._fields)
+    rows = estimate_rows(estimates)
     sizes = [max(map(len, column)) for column in zip(headings, *rows, strict=True)][:-1]
     before = sum(sizes) + 2 * len(sizes)
     longest = max(len(row.remark) for row in (headings, *rows))
     below = width is not None and width - before < min(longest, _LEAST_REMARK)
     lines: list[str] = []
     for row in (headings._replace(remark="") if below else headings, *rows):
-        cells = zip(_Row._fields, row, sizes, strict=False)
+        cells = zip(EstimateRow._fields, row, sizes, strict=False)
         start = "  ".join(
             cell.rjust(size) if name in _NUMBERS else cell.ljust(size) for name, cell, size in cells
         )
@@ -298,22 +297,13 @@ def estimate_table(estimates: Mapping[str, Estimate], width: int | None = None) 
     return "\n".join(lines)
 
 
-def estimate_html(estimates: Mapping[str, Estimate]) -> str:
-    """The same table as HTML."""
-    head = "".join(f"<th>{heading}</th>" for heading in _Row._fields)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>"
-        for row in _rows(estimates)
-    )
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def _rows(estimates: Mapping[str, Estimate]) -> list[_Row]:
+def estimate_rows(estimates: Mapping[str, Estimate]) -> list[EstimateRow]:
+    """The cells of that table."""
     rows = []
     for path, estimate in estimates.items():
         value, error = format_estimate(estimate.value, estimate.standard_error)
         bounds = format_bounds(estimate.lower, estimate.upper)
-        rows.append(_Row(path, value, error, estimate.unit or "-", bounds, estimate.remark))
+        rows.append(EstimateRow(path, value, error, estimate.unit or "-", bounds, estimate.remark))
     return rows
 
 

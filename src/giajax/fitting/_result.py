@@ -1,7 +1,6 @@
 """The result of a fit, as data: it can be written, read again, and it predicts."""
 
 import dataclasses
-import html
 import importlib
 import json
 from collections.abc import Mapping, Sequence
@@ -17,7 +16,7 @@ from ..recordings import SCHEMA_VERSION, Run, stored_result
 from ..runtime.plugins import check_sources, hint
 from ..runtime.programs import program
 from ..runtime.records import from_plain, json_text
-from ..runtime.text import InputError
+from ..runtime.text import InputError, ShownAsTable
 from ._derived import in_column_units
 from ._estimates import Finding
 from ._losses import AbstractLoss, loss_of
@@ -25,6 +24,7 @@ from ._records import (
     ChannelErrors,
     Correlation,
     Estimate,
+    EstimateRow,
     GradientCheck,
     HeldOut,
     Iteration,
@@ -37,7 +37,7 @@ from ._records import (
     Suspect,
     SystematicError,
     ToleranceEffect,
-    estimate_html,
+    estimate_rows,
     estimate_table,
     model_of_run,
     rows_of_runs,
@@ -158,7 +158,7 @@ def errors_of(run: Run, predicted: Mapping[str, np.ndarray]) -> PredictionErrors
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class FitResult:
+class FitResult(ShownAsTable):
     """What a fit found; `result.model` is the fitted model.
 
     It prints as a table of its parameters, and a notebook shows it as one.
@@ -313,15 +313,11 @@ class FitResult:
         return f"<FitResult: {self.model.kind} model, {free}, {self.status}>"
 
     def __str__(self) -> str:
-        return f"{self.headline}\n\n{estimate_table(self._table())}"
+        return f"{self.headline}\n\n{estimate_table(in_column_units(self.shown, self.model))}"
 
-    def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        return f"<p>{html.escape(self.headline)}</p>{estimate_html(self._table())}"
-
-    def _table(self) -> dict[str, Estimate]:
-        """What is shown, in the units of the columns."""
-        return in_column_units(self.shown, self.model)
+    def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        rows = estimate_rows(in_column_units(self.shown, self.model))
+        return self.headline, EstimateRow._fields, rows
 
     @property
     def headline(self) -> str:

@@ -13,9 +13,9 @@ import numpy as np
 from ..recordings import Definition, Run, upgraded
 from ..runtime.arrays import Array, Bool, Float
 from ..runtime.plugins import made_by_default, optional, registered
-from ..runtime.text import InputError, one_of
+from ..runtime.text import InputError, ShownAsTable, one_of
 from ..schema import KINDS, ChannelKind, Kind, Section, add_kind
-from ..schema.parameters import declared, replace
+from ..schema.parameters import declared, parameter_rows, replace
 
 # What is seen is numbers only, so that whatever draws needs neither JAX nor the model.
 
@@ -125,7 +125,7 @@ Prediction = tuple[Channels, Bool[Array, ""]]
 """Channels (SI) at the samples of a run, and whether the prediction succeeded."""
 
 
-class AbstractModel(eqx.Module):
+class AbstractModel(ShownAsTable, eqx.Module):
     """A model whose declared parameters can be fitted to runs.
 
     A fit needs what it predicts, how a run is prepared for it, and what it is made from; it never
@@ -224,6 +224,13 @@ class AbstractModel(eqx.Module):
 
         Must be differentiable in forward mode with respect to the declared parameters.
         """
+
+    def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        rows: dict[str, str] = {}
+        for part in vars(self).values():
+            if isinstance(part, ShownAsTable):
+                rows |= {row[0]: row[1] for row in part._table()[2]}
+        return type(self).__name__, ("", ""), list({**rows, **parameter_rows(self)}.items())
 
 
 def model_class(kind: str) -> Any:

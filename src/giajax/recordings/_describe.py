@@ -99,7 +99,7 @@ def _channel(run: Run, name: str) -> dict[str, Any]:
         "name": name,
         "column": channel.column,
         "unit": channel.unit,
-        "part": _part(run, channel.kind),
+        "part": run.part_of(name),
     }
     if channel.quantity == "text":
         counts = {text: int((values == text).sum()) for text in sorted(set(values))}
@@ -115,12 +115,6 @@ def _channel(run: Run, name: str) -> dict[str, Any]:
         "max": float(channel.from_si(measured.max())) + 0.0,
         "noise": None if noise is None else float(channel.from_si(noise)),
     }
-
-
-def _part(run: Run, kind: str) -> str:
-    if kind in run.kind.outputs:
-        return "measured"
-    return "command" if kind in run.kind.inputs else "wind"
 
 
 def _sidecar(run: Run) -> dict[str, Any] | None:

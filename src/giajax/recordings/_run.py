@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ..runtime.limits import DURATION_S, GAP_S, STEP_S, TIME_S, VALUE
 from ..runtime.plugins import registered
-from ..runtime.text import InputError
+from ..runtime.text import InputError, ShownAsTable
 from ..schema import KINDS, Kind
 from ._channels import (
     Channel,
@@ -180,7 +180,7 @@ def _check_numbers(
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(ShownAsTable):
     """One experiment, in SI units.
 
     Made by `read_run`, `Run.from_frame` and `Run.from_arrays`, which check the content. The arrays
@@ -390,6 +390,24 @@ class Run:
     def correlated_noise(self, name: str) -> tuple[float, float] | None:
         """Standard deviation (SI) and time (s) of the correlated part, where it is stated."""
         return correlated_part_of(self.definition.noise, self.channels[name])
+
+    def part_of(self, name: str) -> str:
+        """What a channel is: "measured", or what drives the model, "command" or "wind"."""
+        kind = self.channels[name].kind
+        if kind in self.kind.outputs:
+            return "measured"
+        return "command" if kind in self.kind.inputs else "wind"
+
+    def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        length = len(next(iter(self.values.values())))
+        lasts = "" if self.times is None else f" over {np.ptp(self.times):.6g} s"
+        rows = []
+        for name, channel in self.channels.items():
+            noise = self.noise(name)
+            stated = "" if noise is None else f"{channel.from_si(noise):.3g}"
+            rows.append((name, channel.unit, self.part_of(name), stated))
+        title = f"{self.name}: {self.model} run, {length} samples{lasts}"
+        return title, ("channel", "unit", "part", "noise"), rows
 
     def require_observations(self) -> None:
         """Raise `InputError` if the run holds nothing that a fit could compare."""

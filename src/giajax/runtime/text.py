@@ -1,11 +1,15 @@
 """Sentences and numbers as text, and the error that a person's input causes."""
 
+import html
 import math
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import rich.table
 
 _DIGITS = 6  # digits of a value that has no standard error to say how many it deserves
 _LEAST_FIXED = 1e-4  # below this a number is written with an exponent: nobody counts five zeros
@@ -116,6 +120,44 @@ def shown(value: Any, longest: int = 60) -> str:
         value = value[: longest + 1]  # enough to see that it is longer
     text = repr(value) if not isinstance(value, bool) else str(value).lower()
     return text if len(text) <= longest else f"{text[: longest - 3]}..."
+
+
+_MOST_ROWS = 24  # more cannot be read at a glance
+
+
+class ShownAsTable:
+    """What a notebook and `rich` show as a table of text; what looks like markup in it is text."""
+
+    def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        """The title, the headings, which may all be empty, and the rows."""
+        raise NotImplementedError
+
+    def _few(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        title, headings, rows = self._table()
+        rest = len(rows) - _MOST_ROWS
+        return title, headings, [*rows[:_MOST_ROWS], *([(f"{rest} more",)] if rest > 0 else [])]
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        title, headings, rows = self._few()
+
+        def line(cells: Sequence[str], tag: str) -> str:
+            return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+        head = f"<thead>{line(headings, 'th')}</thead>" if any(headings) else ""
+        body = "".join(line(cells, "td") for cells in rows)
+        return f"<p>{html.escape(title)}</p><table>{head}<tbody>{body}</tbody></table>"
+
+    def __rich__(self) -> "rich.table.Table":
+        """What `rich.print` shows."""
+        from rich.table import Table
+        from rich.text import Text
+
+        title, headings, rows = self._few()
+        table = Table(*headings, title=Text(title), show_header=any(headings))
+        for cells in rows:
+            table.add_row(*map(Text, cells))
+        return table
 
 
 # A path of a deep folder, and a sentence that lists what there is.

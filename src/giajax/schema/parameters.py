@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..runtime.arrays import Array
-from ..runtime.text import InputError
+from ..runtime.text import InputError, format_estimate
 from ._declaration import Declaration
 
 DECLARED = "giajax.parameter"
@@ -207,6 +207,16 @@ def default_free(model: eqx.Module, started: Iterable[str] = ()) -> tuple[str, .
         for path, parameter in declared(model).items()
         if not parameter.declaration.frozen and (path in started or inside(parameter))
     )
+
+
+def parameter_rows(model: eqx.Module) -> dict[str, str]:
+    """What a fit frees of a model by default, with values in SI units, and what it holds."""
+    known, free = declared(model), default_free(model)
+    shown = []
+    for path in free:
+        value = format_estimate(np.ravel(known[path].value(model)).tolist(), None)[0]
+        shown.append(f"{path} {value} {known[path].declaration.unit}".rstrip())
+    return {"free": "; ".join(shown) or "nothing", "held": f"{len(known) - len(free)} parameters"}
 
 
 def _by_path(model: eqx.Module) -> dict[str, Parameter]:

@@ -1,6 +1,7 @@
 """The arm, the rigid bodies that its links are, and how arms are made: trim and presets."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from inspect import signature
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ import numpy as np
 
 from ...runtime.arrays import Array, Float, Scalar, rotate, rotation_vector_to_quaternion
 from ...runtime.plugins import law_named, name_of, registered
-from ...runtime.text import InputError
+from ...runtime.text import InputError, ShownAsTable, format_estimate
 from ...schema import AIR, BASE, BUOYANCY, LINKS, NO_NEUTRAL, POINT_MASSES
 from ...schema.parameters import (
     checked,
@@ -20,6 +21,7 @@ from ...schema.parameters import (
     inline,
     is_concrete,
     parameter,
+    parameter_rows,
     switched_on,
 )
 from ..joint import JointPair
@@ -28,6 +30,8 @@ from ._joint_laws import AbstractJointLaw, JointLaws, Spring
 from ._joint_trial import check_joint_law
 from ._parts import (
     DRAGS,
+    PITCH,
+    YAW,
     Air,
     Buoyancy,
     Contact,
@@ -44,7 +48,7 @@ from ._wind import AbstractWind, as_wind, check_wind
 # Joint i precedes link i. Angles are in radians and everything is SI.
 
 
-class Arm(eqx.Module):
+class Arm(ShownAsTable, eqx.Module):
     """A chain of links in air, fixed at its base.
 
     Build one with a preset (`takeichi_20m`), or your own with `chain`. Every array of it may be
@@ -108,6 +112,35 @@ class Arm(eqx.Module):
         """What acts in the joints, muscles apart: springs, dampers, hysteresis, and more laws."""
         spring = Spring(self.spring_stiffness)
         return JointLaws((spring, *self.joints.dampers, *self.joints.further_laws.laws))
+
+    def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
+        links, law, laws = self.links, self.air.drag_law, self.joint_laws.laws
+        axes = Counter({PITCH: "pitch", YAW: "yaw"}.get(axis, "other") for axis in self.joints.axes)
+        mass = sum(np.sum(part.mass, axis=-1) for part in (links, self.point_masses) if part)
+        drag = type(law).__name__
+        if self.air.law is None:
+            drag += f", C_D {_in_text(self.air.drag_coefficient)}"
+        rows = {
+            "length": f"{_in_text(np.sum(links.length, axis=-1))} m",
+            "diameter": f"{_in_text(links.diameter)} m",
+            "mass": f"{_in_text(mass)} kg, helium and trim apart",
+            "joints": ", ".join(f"{count} {name}" for name, count in axes.items()),
+            "joint laws": ", ".join(dict.fromkeys(type(law).__name__ for law in laws)),
+            "drag": f"{drag}, in air of {_in_text(self.air.density)} kg/m^3",
+        }
+        others = {
+            "helium": self.buoyancy,
+            "point masses": self.point_masses,
+            "muscles": self.pneumatics,
+            "obstacles": self.contact,
+        }
+        rows["also"] = ", ".join(name for name, part in others.items() if part is not None) or "-"
+        rows |= parameter_rows(self)
+        return f"arm of {self.count} link{'s' * (self.count > 1)}", ("", ""), list(rows.items())
+
+
+def _in_text(values: Any) -> str:
+    return format_estimate(np.ravel(values).tolist(), None)[0]
 
 
 PerLink = Float[Array, " link"]
