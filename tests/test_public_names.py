@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import inspect
 import json
 import os
 import re
@@ -10,6 +11,7 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 from types import ModuleType
+from typing import Unpack, get_origin
 
 import pytest
 
@@ -52,6 +54,20 @@ def test_every_model_and_what_users_reach_for_is_there():
         "write_result",
     }
     assert wanted <= set(listed())
+
+
+@pytest.mark.quick
+def test_signatures_are_complete():
+    """What any number of arguments may be is typed; presets pass theirs on to `chain`."""
+    things = {name: getattr(giajax, name) for name in listed()}
+    vague = {
+        name
+        for name, thing in things.items()
+        if callable(thing) and not isinstance(thing, type)
+        for each in inspect.signature(thing).parameters.values()
+        if each.kind == each.VAR_KEYWORD and get_origin(each.annotation) is not Unpack
+    }
+    assert vague == {"pendulum", "preset", "takeichi_20m", "takeichi_20m_full"}
 
 
 @pytest.mark.quick
