@@ -6,13 +6,15 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from giajax import ArmModel, read_run
+from giajax import ArmModel, read_run, register
 from giajax.cli import main
 from giajax.cli._simulate import gusts_of
 from giajax.fitting import predict
+from giajax.mechanics.arm import AbstractWind
 from giajax.models import arm_from_definition
 from giajax.recordings import Definition
 from giajax.schema.parameters import replace
@@ -163,6 +165,26 @@ def test_wind_alone_moves_the_arm(out):
     run = simulate(out, *SHORT, "--wind", "0,0,0.2", "--channels", "all")
     assert run.definition.free_motion
     assert list(run.observations) == [f"link{i:02d}_{c}" for i in (1, 2, 3) for c in "xyz"]
+    assert run.values["link03_z"][-1] > 1e-3
+
+
+@register
+class Upwards(AbstractWind):
+    """A wind of one's own, which a file names."""
+
+    def __call__(self, position, time):
+        return jnp.broadcast_to(jnp.asarray([0.0, 0.0, 0.2]), position.shape)
+
+
+@pytest.mark.slow
+def test_a_wind_field_alone_moves_the_arm(out, tmp_path):
+    (tmp_path / "arm.toml").write_text('[arm]\nwind_field = "Upwards"\n')
+    run = simulate(out, *SHORT, "--arm", str(tmp_path / "arm.toml"), "--channels", "link03_z")
+    assert run.definition.arm.wind_field == "Upwards"
+    steady = simulate(
+        tmp_path / "steady.csv", *SHORT, "--wind", "0,0,0.2", "--channels", "link03_z"
+    )
+    assert np.allclose(run.values["link03_z"], steady.values["link03_z"], atol=1e-9)
     assert run.values["link03_z"][-1] > 1e-3
 
 

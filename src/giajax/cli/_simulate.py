@@ -266,7 +266,8 @@ def facts_of(
     commanded = [drive for name, drive in driven.items() if name.startswith("joint")]
     winds = [drive for name, drive in driven.items() if "wind_" in name]
     velocity = source.section(WindSection).velocity_m_per_s
-    if not (driven or initial or velocity or float(model.arm.gravity)):
+    blown = velocity or model.arm.air.wind_field is not None
+    if not (driven or initial or blown or float(model.arm.gravity)):
         raise InputError(
             "nothing moves the arm: give --step, --ramp, --command or --wind, or --arm with an "
             "[initial] state"
