@@ -16,7 +16,7 @@ import numpy as np
 from ..runtime.arrays import Array, Float
 from ..runtime.plugins import name_of, optional, register, registered
 from ..runtime.programs import program
-from ..runtime.text import InputError, shown
+from ..runtime.text import InputError, shown, tried
 
 
 class Scores(NamedTuple):
@@ -331,24 +331,17 @@ def _check_rho(loss: AbstractLoss) -> None:
             )
     what = f"{type(loss).__name__}.rho"
     r = jnp.asarray(np.append(0.0, np.geomspace(1e-3, 1e4, 141)))
-    try:
-        with jax.ensure_compile_time_eval():
-            given: Any = loss.rho(r)
-            if (shape := getattr(given, "shape", None)) != r.shape:
-                raise InputError(
-                    f"{what} returns the shape {shape} for residuals of shape {r.shape}: return a "
-                    "number for each of them"
-                )
-            if given.dtype != r.dtype:
-                raise InputError(f"{what} returns {given.dtype} for {r.dtype}: keep the type")
-            found, mirrored = _scores(loss, r), np.asarray(loss.rho(-r))
-            few, more = loss.rho(r[::2]), loss.rho(jnp.append(jnp.zeros_like(r), r))[r.size :]
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(
-            f"{what} fails ({type(error).__name__}: {str(error).splitlines()[0]}): correct it"
-        ) from error
+    with tried(what), jax.ensure_compile_time_eval():
+        given: Any = loss.rho(r)
+        if (shape := getattr(given, "shape", None)) != r.shape:
+            raise InputError(
+                f"{what} returns the shape {shape} for residuals of shape {r.shape}: return a "
+                "number for each of them"
+            )
+        if given.dtype != r.dtype:
+            raise InputError(f"{what} returns {given.dtype} for {r.dtype}: keep the type")
+        found, mirrored = _scores(loss, r), np.asarray(loss.rho(-r))
+        few, more = loss.rho(r[::2]), loss.rho(jnp.append(jnp.zeros_like(r), r))[r.size :]
     rho, psi, curvature, _ = (np.asarray(each) for each in found)
     names = {"value": rho, "derivative": psi, "second derivative": curvature}
 

@@ -24,7 +24,7 @@ from ..runtime.arrays import (
 )
 from ..runtime.plugins import classes_of_others, made_by_default, name_of, registered
 from ..runtime.programs import program
-from ..runtime.text import InputError, one_of
+from ..runtime.text import InputError, one_of, tried
 from ..schema import CAMERA, ENCODER, KINDS, LANDMARK, MARKER, ChannelKind, add_kind
 from ..schema.parameters import declared, inline, is_concrete, parameter
 from ..simulation import Trajectory, at_rest
@@ -216,12 +216,8 @@ def check_sensor(sensor: AbstractSensor, arm: Arm) -> None:
     if not is_concrete((sensor, arm)):
         return
     what, row = f"{type(sensor).__name__}.values", sensor.channel
-    try:
+    with tried(what):
         shown, slope = _shown_at_rest(sensor, arm)
-    except Exception as error:
-        raise InputError(
-            f"{what} fails ({type(error).__name__}: {str(error).splitlines()[0]}): correct it"
-        ) from error
     places = [arm.count] * ("NN" in row.column) + [len(row.components)] * bool(row.components)
     shape = getattr(shown, "shape", None)
     if shape != (1, *places):

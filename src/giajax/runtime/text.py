@@ -1,10 +1,11 @@
 """Sentences and numbers as text, and the error that a person's input causes."""
 
+import contextlib
 import html
 import math
 import re
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -191,6 +192,18 @@ class InputError(ValueError):
 
     def __init__(self, sentence: str) -> None:
         super().__init__(abridged(sentence))
+
+
+@contextlib.contextmanager
+def tried(what: str) -> Iterator[None]:
+    """Code of a user's that is tried: an exception in it is an `InputError` that names it."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        said = ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
+        raise InputError(f"{what} fails ({said}): correct it") from error
 
 
 __version__ = version("giajax")

@@ -231,6 +231,10 @@ def chosen(position, time):
     return position if position[0, 0] > 0 else -position
 
 
+def silent(position, time):
+    raise ValueError
+
+
 def mixed(position, time):
     return position - position[..., :1, :]
 
@@ -247,6 +251,7 @@ class Late(Sheared):
         (endless, "endless has a value that is not finite at 0 s where the arm is"),
         (rough, "rough has a derivative that is not finite"),
         (chosen, r"chosen fails \(TracerBoolConversionError"),
+        (silent, r"silent fails \(ValueError\): correct it"),
         (mixed, "mixed does not give each place .* its own wind: use position"),
         (Late(), "Late has a value that is not finite at 60 s"),
         (sys.intern, "the wind field is .*: give a function of position and time"),

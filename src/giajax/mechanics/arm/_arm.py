@@ -133,6 +133,7 @@ class Arm(ShownAsTable, eqx.Module):
             "point masses": self.point_masses,
             "muscles": self.pneumatics,
             "obstacles": self.contact,
+            "a wind field": self.air.wind_field,
         }
         rows["also"] = ", ".join(name for name, part in others.items() if part is not None) or "-"
         rows |= parameter_rows(self)

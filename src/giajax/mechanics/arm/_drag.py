@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...runtime.arrays import Array, Float, Scalar, dot, safe_norm, scaled
-from ...runtime.text import InputError
+from ...runtime.text import InputError, tried
 from ...schema.parameters import is_concrete
 
 # log10 C_D is a line in log10 Re and three smooth steps: the end of creeping flow, the growth of
@@ -178,16 +178,8 @@ def check_drag_law(law: AbstractDragLaw, links: int = 7) -> None:
             force that drives a link instead of resisting it.
     """
     if is_concrete(law):
-        try:
-            with jax.ensure_compile_time_eval():
-                _try(law, links)
-        except InputError:
-            raise
-        except Exception as error:
-            raise InputError(
-                f"{type(law).__name__}.force fails ({type(error).__name__}: "
-                f"{str(error).splitlines()[0]}): correct it"
-            ) from error
+        with tried(f"{type(law).__name__}.force"), jax.ensure_compile_time_eval():
+            _try(law, links)
 
 
 def _try(law: AbstractDragLaw, links: int) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from ...runtime.arrays import Array, Float, Scalar
 from ...runtime.process import enable_x64
 from ...runtime.programs import NoStructureError, content, program
-from ...runtime.text import InputError
+from ...runtime.text import InputError, tried
 from ...schema.parameters import is_concrete
 from ._joint_laws import AbstractJointLaw, JointState, States
 
@@ -79,13 +79,8 @@ def _check_shapes(law: AbstractJointLaw, joints: int) -> None:
         "dissipation": ((at,), each),
     }
     for method, (given, like) in methods.items():
-        try:
+        with tried(f"{name}.{method}"):
             found = jax.eval_shape(getattr(law, method), *given)
-        except Exception as error:
-            raise InputError(
-                f"{name}.{method} fails ({type(error).__name__}: {str(error).splitlines()[0]}): "
-                "correct it"
-            ) from error
         shapes = jax.tree.map(lambda x: getattr(x, "shape", None), (found, like))
         if shapes[0] != shapes[1]:
             raise InputError(

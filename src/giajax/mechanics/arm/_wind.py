@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from ...runtime.arrays import Array, Float, Scalar
-from ...runtime.text import InputError
+from ...runtime.text import InputError, tried
 from ...schema.parameters import is_concrete
 
 
@@ -79,16 +79,8 @@ def check_wind(
         return
     named = given.function if isinstance(given, WindFunction) else type(given)
     about = jnp.asarray(_ABOUT if position is None else position, dtype=float)
-    try:
-        with jax.ensure_compile_time_eval():
-            _try(named.__name__, given, about)
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(
-            f"{named.__name__} fails ({type(error).__name__}: {str(error).splitlines()[0]}): "
-            "correct it"
-        ) from error
+    with tried(named.__name__), jax.ensure_compile_time_eval():
+        _try(named.__name__, given, about)
 
 
 def _try(name: str, wind: AbstractWind, position: Array) -> None:
