@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from giajax.recordings import Definition, Run, describe, read_run, sidecar_template
+from giajax.runtime.text import InputError
 
 pytestmark = pytest.mark.quick
 
@@ -109,6 +110,13 @@ def test_a_preset_that_no_one_named_is_said():
     sizes |= {"joint_axes": ["pitch", [0.0, 1.0, 1.0]], "links": 2}
     known = joints | {"air.drag_coefficient": 1.0}
     assert notes(**sizes, gravity_m_per_s2=9.81, parameters=known) == []
+
+
+def test_lists_of_an_own_arm_say_how_many_links_it_has():
+    arm = {"preset": "chain", "link_mass_kg": [0.1, 0.2, 0.3]}
+    with pytest.raises(InputError, match="is of link 5, but the arm has 3 links"):
+        Run.from_arrays([0.0, 1.0], {"joint01_command": [0, 1], "link05_z": [0, 1]},
+                        definition={"arm": arm})  # fmt: skip
 
 
 def test_assumed_muscles_of_an_own_arm_are_said():

@@ -311,7 +311,9 @@ class _Links(Section):
     """Which arm it is, and its links."""
 
     preset: Name | None = key(
-        "the name of a preset", "arm that the other keys change", preset="takeichi_20m"
+        "the name of a preset",
+        'arm that the other keys change; "chain" has no numbers, and is one of your own',
+        preset="takeichi_20m",
     )
     links: Annotated[int, Field(ge=1, le=MOST_LINKS)] | None = key(
         f"a whole number from 1 to {MOST_LINKS}",
