@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rich.console
 
-from giajax import ArmModel, HysteresisModel, Run, chain
+from giajax import ArmModel, HysteresisModel, Run, takeichi_20m
 from giajax.mechanics.arm import Hardening
 from giajax.mechanics.hysteresis import PrandtlIshlinskii
 
@@ -47,7 +47,7 @@ def test_a_run_shows_its_channels_in_their_units():
 
 
 def test_an_arm_shows_what_it_is_and_what_is_free():
-    arm = chain(
+    arm = takeichi_20m(
         3,
         length=[0.5, 0.4, 0.3],
         diameter=0.1,
