@@ -153,6 +153,9 @@ def test_a_clock_that_is_late_is_a_phase_of_the_spectra_alone():
         for model, record in zip((MODEL, late), records, strict=True)
     ]
     np.testing.assert_array_equal(*shown)
+    slow = giajax.replace(MODEL, {"encoder.clock_rate": 0.01})
+    with pytest.raises(InputError, match=r"has a rate of 0.01, .* leave clock_rate out"):
+        resting(slow, run)
 
 
 def _rest(here):

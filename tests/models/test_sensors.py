@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import giajax
 from giajax import ArmModel, InputError, Run
@@ -26,6 +27,7 @@ EACH = {
     "camera.origin": [0.1, -0.2, 0.3],
     "camera.scale": 1.1,
     "camera.delay": 0.13,
+    "camera.clock_rate": 0.03,
     "marker.along": 0.05,
     "marker.left": [0.1, 0.0, -0.1],
     "marker.up": 0.15,
@@ -33,6 +35,7 @@ EACH = {
     "encoder.offset": [0.1, -0.1, 0.05],
     "encoder.scale": 0.9,
     "encoder.delay": -0.07,
+    "encoder.clock_rate": -0.02,
 }
 
 
@@ -153,6 +156,24 @@ def test_an_early_clock_goes_on_beyond_the_end():
     np.testing.assert_allclose(seen, expected, atol=1e-7)
 
 
+@pytest.mark.slow
+def test_a_slow_clock_stretches_what_is_seen_from_the_first_sample_on():
+    """Its samples are those of the times that they were taken at, beyond the last stamp, too."""
+    rate, longer = 0.04, np.linspace(0.0, 4.2, 421)
+    command = {name: np.interp(longer, TIMES, row) for name, row in COMMAND.items()}
+    more = Run.from_arrays(
+        longer, {**command, "tip_z": 0 * longer}, definition={"arm": {"links": LINKS}}
+    )
+    finely = giajax.predict(model(), more, ("tip_z", "joint01_angle"))
+    taken = 0.1 + TIMES[1:-1] * (1 + rate)  # late by -0.1 s
+    slow = {"camera.clock_rate": rate, "camera.delay": -0.1}
+    seen = giajax.predict(with_all_sensors(**slow), run_of(), EVERYTHING)
+    expected = CubicSpline(longer, finely["tip_z"])(taken)
+    np.testing.assert_allclose(seen["tip_z"][1:-1], expected, atol=1e-5)
+    # The other clock is right.
+    np.testing.assert_allclose(seen["joint01_angle"], finely["joint01_angle"][:401:10], atol=1e-6)
+
+
 def test_before_the_run_a_moving_arm_moves_on(plain):
     """With the rates of its first sample, which is right to the first order."""
     moving = run_of(initial={"angle_deg": 5.0, "rate_deg_per_s": 20.0})
@@ -192,7 +213,7 @@ def test_derivatives_by_every_parameter_are_those_of_differences(recording, wher
     derivatives = jacobian(jnp.asarray(row))
     for index, (path, _) in enumerate(ELEMENTS):
         # Samples of a right clock lie on corners of the command, where the jerk jumps.
-        h = 1e-6 if path.endswith("delay") else 1e-4
+        h = 1e-6 if path.endswith(("delay", "clock_rate")) else 1e-4
         step = np.zeros(len(row))
         step[index] = h
         difference = (table(jnp.asarray(row + step)) - table(jnp.asarray(row - step))) / (2 * h)
@@ -245,6 +266,21 @@ def test_a_camera_frame_is_found_together_with_the_drag_coefficient():
         assert abs(found.value - truth) < 2 * found.standard_error, path
         assert found.standard_error < 0.3 * abs(truth), path
     assert result.gradient_check.relative_difference < 1e-5
+
+
+@pytest.mark.slow
+def test_the_rate_of_a_clock_is_found_together_with_the_drag_coefficient():
+    run = recorded(**{"camera.clock_rate": 0.02, "air.drag_coefficient": 1.35})
+    free = ["camera.clock_rate", "air.drag_coefficient", "joints.pitch_stiffness"]
+    start = {"joints.pitch_stiffness": 1.7, "joints.yaw_stiffness": 5.0}
+    result = giajax.fit(model_for([run]), run, free=free, start=start)
+    assert result.status == "converged"
+    for path, truth in zip(free, (0.02, 1.35, 2.0), strict=True):
+        found = result.parameters[path]
+        assert abs(found.value - truth) < 3 * found.standard_error, path
+        assert found.standard_error < 0.2 * truth, path
+    assert result.gradient_check.relative_difference < 1e-5
+    assert any(each.startswith("camera.clock_rate: counted") for each in result.conditions)
 
 
 @pytest.mark.slow
@@ -308,6 +344,7 @@ STATED = {
     "camera_origin_m": [0.0, 0.1, 0.0],
     "camera_scale": 1.02,
     "camera_delay_s": 0.05,
+    "camera_clock_rate": 0.05,
     "marker_along_m": 0.1,
     "marker_left_m": [0.1, 0.2, 0.3],
     "marker_up_m": 0.15,
@@ -315,6 +352,7 @@ STATED = {
     "encoder_offset_deg": [1.0, 2.0, 3.0],
     "encoder_scale": 0.98,
     "encoder_delay_s": -0.02,
+    "encoder_clock_rate": -0.05,
 }
 
 

@@ -83,7 +83,9 @@ _COMMANDED = (
 )
 _SENSORS: dict[str, str] = {
     "camera.delay": _COMMANDED,
+    "camera.clock_rate": "counted against the clock of the commands",
     "encoder.delay": _COMMANDED,
+    "encoder.clock_rate": "counted against the clock of the commands",
     "encoder.offset": "counted from the commanded angle 0, at which the joints are straight",
 }
 

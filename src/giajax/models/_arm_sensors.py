@@ -45,6 +45,7 @@ class Camera(eqx.Module):
     origin: Float[Array, "3"] | None = parameter(CAMERA.origin)
     scale: Scalar | None = parameter(CAMERA.scale)
     delay: Scalar | None = parameter(CAMERA.delay)
+    clock_rate: Scalar | None = parameter(CAMERA.clock_rate)
     # By name, which is part of the paths: `camera.side.position`.
     pinholes: dict[str, Pinhole] = inline(default_factory=dict)
 
@@ -108,6 +109,7 @@ class Encoder(eqx.Module):
     offset: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.offset)
     scale: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.scale)
     delay: Scalar | None = parameter(ENCODER.delay)
+    clock_rate: Scalar | None = parameter(ENCODER.clock_rate)
 
     def shows(self, angles: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
         """Recorded joint angles, rad; the clock apart."""
@@ -139,7 +141,7 @@ class AbstractSensor(eqx.Module):
 
     Its parameters are declared as all others (`giajax.schema.parameters.parameter`) and have paths
     as `sensor.NAME.gain`. Where it has one that is called `delay`, s, it shows the motion of so
-    much earlier. `check_sensor` tests a sensor.
+    much earlier; `clock_rate` is that of `camera.clock_rate`. `check_sensor` tests a sensor.
     """
 
     registered_as: ClassVar[str] = "sensor"
@@ -295,11 +297,12 @@ class Sensors(eqx.Module):
         return {kind: known[kind] for kind in own if kind in known}
 
     def without_clocks(self) -> "Sensors":
-        """The same camera, markers and angle sensors, none of which is late."""
+        """The same camera, markers and angle sensors, with clocks that are right."""
         lenses = self.camera.pinholes.items()
         on_time = {name: dataclasses.replace(each, delay=None) for name, each in lenses}
-        camera = dataclasses.replace(self.camera, delay=None, pinholes=on_time)
-        encoder = dataclasses.replace(self.encoder, delay=None)
+        right: dict[str, Any] = {"delay": None, "clock_rate": None}
+        camera = dataclasses.replace(self.camera, **right, pinholes=on_time)
+        encoder = dataclasses.replace(self.encoder, **right)
         return dataclasses.replace(self, camera=camera, encoder=encoder)
 
     def with_rows(self, kinds: Iterable[str]) -> "Sensors":
@@ -478,30 +481,40 @@ def behind_conditions(
 
 Times = Float[Array, " sample"]
 
+Clock = tuple[Scalar | None, Scalar | None]
+"""How late a clock is, s, and how slow (`camera.clock_rate`); None: not at all."""
+
 
 Motion = Callable[[Times, Scalar], Trajectory]
 """The motion at increasing times (s) from the first sample on, simulated until a time (s)."""
 
 
-def seen_with_delays(
-    motion: Motion, times: Times, delays: Sequence[Scalar | None]
+def _true_times(times: Times, clock: Clock) -> Times:
+    """When samples were taken that a clock stamps with these times, s."""
+    delay, rate = clock
+    true = times if rate is None else times + rate * (times - times[0])
+    return true if delay is None else true - delay
+
+
+def _seen_by_clocks(
+    motion: Motion, times: Times, by: Sequence[Clock]
 ) -> tuple[list[Trajectory], Bool[Array, ""]]:
-    """Motions at the samples less each delay (s; None: a clock that is right), from one simulation.
+    """Motions at the samples of each clock, from one simulation.
 
     The integrator's own interpolation gives them, at no more error than it has anyway, and with
-    the derivative by the delay. Where a delay reaches back before the run, the arm has the rates
+    the derivative by the clock. Where a clock reaches back before the run, the arm has the rates
     of its first sample (it rests, if it starts at rest); where it reaches beyond the end, the run
     goes on with its last command. Also whether the simulation succeeded.
     """
     first = times[0]
-    clocks = [times if delay is None else times - delay for delay in delays]
+    clocks = [_true_times(times, clock) for clock in by]
     within = [jnp.where(moments < first, first, moments) for moments in clocks]
     together = jnp.concatenate(within)
     order = jnp.argsort(jax.lax.stop_gradient(together))
     # Where the simulation ends changes nothing before it.
     end = jax.lax.stop_gradient(jnp.max(jnp.append(together, times[-1])))
     moved = motion(together[order], end)
-    place = jnp.argsort(order).reshape(len(delays), len(times))
+    place = jnp.argsort(order).reshape(len(by), len(times))
     seen = []
     for row, moments, inside in zip(place, clocks, within, strict=True):
         names = ("angles", "rates", "memory", "pressures", "skin")
@@ -558,16 +571,18 @@ def _seen(
     sensors: Sensors, motion: Motion, times: Times, kinds: set[str], cameras: tuple[str, ...]
 ) -> tuple[dict[str, Trajectory], Bool[Array, ""]]:
     """What each sensor sees, by name; a clock that no channel needs costs nothing."""
-    clocks: dict[str, Scalar | None] = {
-        kind: getattr(shows, "delay", None) for kind, (_, shows) in sensors.rows(kinds).items()
+    clocks: dict[str, Clock] = {
+        kind: (getattr(shows, "delay", None), getattr(shows, "clock_rate", None))
+        for kind, (_, shows) in sensors.rows(kinds).items()
     }
     # A camera may be called as a row is.
-    clocks |= {f"camera.{name}": clock_of(sensors, name) for name in cameras}
+    rate = sensors.camera.clock_rate
+    clocks |= {f"camera.{name}": (clock_of(sensors, name), rate) for name in cameras}
     # Sensors that share a clock see the same.
-    delays = list({id(delay): delay for delay in clocks.values()}.values())
-    if all(delay is None for delay in delays):
+    known = {tuple(map(id, clock)): clock for clock in clocks.values()}
+    if all(part is None for clock in known.values() for part in clock):
         moved = motion(times, times[-1])
         return dict.fromkeys(clocks, moved), moved.successful
-    shown, successful = seen_with_delays(motion, times, delays)
-    places = {id(delay): place for place, delay in enumerate(delays)}
-    return {name: shown[places[id(delay)]] for name, delay in clocks.items()}, successful
+    shown, successful = _seen_by_clocks(motion, times, list(known.values()))
+    seen = dict(zip(known, shown, strict=True))
+    return {name: seen[tuple(map(id, clock))] for name, clock in clocks.items()}, successful

@@ -287,6 +287,12 @@ def delay(key: str, doc: str) -> Declaration:
     )
 
 
+def clock_rate(key: str) -> Declaration:
+    """Of a clock that is slow, or fast, by so much."""
+    doc = "by how much more time passes from the first sample on than the time stamps show"
+    return left_out("", doc, lower=-0.05, upper=0.05).keyed(key, closed=True, example=0.001)
+
+
 class _Camera(Group):
     rotation = left_out(
         "rad", "turn of the camera frame against the base frame, as a rotation vector", shape=(3,)
@@ -298,6 +304,7 @@ class _Camera(Group):
         "camera_scale"
     )
     delay = delay("camera_delay_s", "how long before its time stamp a position or picture was true")
+    clock_rate = clock_rate("camera_clock_rate")
 
 
 class _Marker(Group):
@@ -328,6 +335,7 @@ class _Encoder(Group):
         **EACH_JOINT,
     ).keyed("encoder_scale")
     delay = delay("encoder_delay_s", "how long before its time stamp a joint's angle was true")
+    clock_rate = clock_rate("encoder_clock_rate")
 
 
 CAMERA = _Camera("camera")

@@ -223,12 +223,16 @@ def _filled(run: Run, kept: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _delay(model: ArmModel, run: Run, name: str) -> float:
-    channel = run.channels[name]
+    channel, sensors = run.channels[name], model.sensors
+    of = sensors.camera if channel.quantity in ("length", "pixel") else sensors.encoder
+    if of.clock_rate is not None and float(of.clock_rate):
+        raise InputError(
+            f"the clock of {name} has a rate of {float(of.clock_rate):g}, and spectra are of "
+            "clocks that are right: correct time_s, and leave clock_rate out"
+        )
+    delay = of.delay
     if channel.quantity == "pixel":
-        delay = clock_of(model.sensors, camera_of(model.sensors, channel))
-    else:
-        position = channel.quantity == "length"
-        delay = (model.sensors.camera if position else model.sensors.encoder).delay
+        delay = clock_of(sensors, camera_of(sensors, channel))
     return 0.0 if delay is None else float(delay)
 
 
