@@ -148,7 +148,7 @@ def test_results_are_repeated(name, tmp_path, monkeypatch):
     """`giajax fit --again`."""
     shutil.copytree(EARLIER / "results" / name, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    words = ["fit", "--again", "fit", "--out", "again", "--no-figures", "--quiet"]
+    words = ["fit", "--again", "fit", "--out", "again", "--no-figures", "--no-suspects", "--quiet"]
     before = record("fit/result.json")
     assert main(words) == (0 if before["status"] == "converged" else 1)
     after = record("again/result.json")
@@ -225,7 +225,7 @@ def test_a_journal_is_gone_on_with(home, capsys, name, words):
     Path("half").rename("fit")
     lines = Path("fit/journal.jsonl").read_text().splitlines()[1:-1]
     last = json.loads(lines[-1])
-    assert main(["fit", "--resume", "fit", "--no-figures"]) in (0, 1)
+    assert main(["fit", "--resume", "fit", "--no-figures", "--no-suspects"]) in (0, 1)
     said = capsys.readouterr().err
     assert "going on where fit/journal.jsonl ends" in said
     # The steps that are shown are those that were done now.

@@ -194,7 +194,9 @@ def test_a_fit_that_did_not_converge_is_not_judged():
     runs = [run(sigma=SIGMA), bent(1)]
     parts = hold_out(runs, ["run1"])
     result = solve(set_up(Decay(), runs[:1], start=START), check=False, max_iterations=1)
-    assert result.verdict.status == "not evaluated"
+    # Its own residuals are judged where it ended, and what it did not see is not.
+    assert result.verdict.status == "inadequate"
+    assert "no optimum" in result.verdict.reasons[-1].sentence
     after = HoldOut(parts, set_up(Decay(), runs, start=START)).judge(result)
     assert after.verdict == result.verdict
     assert after.held_out[0].channels["tip_z"].rmse > SIGMA

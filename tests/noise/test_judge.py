@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from giajax.noise import ChannelNoise, Series, judge
+from giajax.noise import ChannelNoise, Reason, Series, Verdict, judge
 
 SIGMA = 0.01
 
@@ -176,3 +176,16 @@ def test_residuals_of_exactly_nothing_are_judged():
     times = np.arange(40.0)
     series = [Series(f"run{i}", "x", np.zeros(40), times, None, "x", 1.0, 1.0) for i in range(2)]
     assert judge(series, robust=False).status == "adequate"
+
+
+@pytest.mark.quick
+def test_a_doubt_makes_an_adequate_model_doubtful_and_no_other_better():
+    doubt, other = Reason("suspect", "a delay", 1e-9, 4.0), Reason("end", "no optimum", 1.0, 1.0)
+    doubtful = Verdict("adequate").doubted(other).doubted(doubt)
+    assert (doubtful.status, doubtful.reasons) == ("doubtful", (doubt, other))
+    assert doubtful.without("suspect") == Verdict("doubtful", (other,))
+    assert doubtful.without("suspect").without("end") == Verdict("adequate")
+    wrong = Verdict.inadequate([Reason("noise", "too large", 1e-12, 2.0)])
+    assert wrong.doubted(doubt).status == "inadequate"
+    assert wrong.doubted(doubt).without("suspect") == wrong
+    assert doubtful.with_reason(wrong.reasons[0]).status == "inadequate"

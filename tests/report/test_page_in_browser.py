@@ -47,6 +47,7 @@ def test_a_shipped_fit_with_every_study(name, browser, tmp_path):
     giajax("fit", FITS / f"{name}.toml", "--starts", "3", "--out", folder, "--quiet")
     for study, options in STUDIES.items():
         giajax(study, folder, "--quiet", *options)
+    (tmp_path / "site").mkdir()
     giajax("report", folder, "--out", tmp_path / "site" / "report.html")
     assert browse.opened(tmp_path / "site", browser) == []
     page = Page((tmp_path / "site" / "report.html").read_bytes())

@@ -232,7 +232,7 @@ def show_diagnosis(result: "FitResult") -> None:
 
 _STATUS = {"converged": 0, "not_converged": 1}
 
-_INADEQUATE = 3  # with --strict, of a fit whose model does not describe the data
+_INADEQUATE = 3  # with --strict, of a fit whose model is inadequate or doubtful
 
 
 def finished(folder: Path, as_json: bool, quiet: bool) -> int | None:
@@ -322,14 +322,16 @@ def run_fit(
         goes_on = journal.path.exists()
         if not goes_on:
             forget_starts(task.out)
-    if shown:
-        show_result(result, task.definition)
-        if before is not None:
-            print(f"{'again':<20}{compared(result, before)}")
-    # The fit itself is shown and on disk by now: these tests compile a program of their own.
+    # The fit itself is on disk by now: these tests compile a program of their own.
+    if suspects and not quiet:
+        typer.echo("testing what the fit held or left out ...", err=True)
     asked = ready.diagnosed(result, suspects=suspects)
     if asked is not result:
         files = write_or_print(asked, ready.runs, task.out)
+    if shown:
+        show_result(asked, task.definition)
+        if before is not None:
+            print(f"{'again':<20}{compared(asked, before)}")
     if as_json:
         typer.echo(asked.to_json(), nl=False)
     elif not quiet:
@@ -350,7 +352,7 @@ def run_fit(
             print(f"\n{_go_on(task, result)}")
         if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
             print(f"\n{hint}")
-    if strict and result.verdict.status == "inadequate":
+    if strict and asked.verdict.status in ("inadequate", "doubtful"):
         return _INADEQUATE
     return _STATUS.get(result.status, stopped_status())
 
@@ -483,8 +485,8 @@ The table and the summary go to standard output, progress to standard error.
 \b
 Exit status: 0 converged; 1 ended without convergence (the result is
 written and says so); 2 bad input or usage; 3 with --strict, where the model
-does not describe the data; 130 interrupted, 143 by SIGTERM (the best point so
-far is written). A second Ctrl-C ends at once.
+does not describe the data or is doubtful; 130 interrupted, 143 by SIGTERM
+(the best point so far is written). A second Ctrl-C ends at once.
 
 \b
 While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
@@ -509,7 +511,7 @@ def fit(
     as_json: Annotated[bool, "--json", "Print result.json instead of the tables."] = False,
     strict: Annotated[bool, "End with status 3 where the model does not fit the data."] = False,
     quiet: Annotated[bool, "Print errors only."] = False,
-    suspects: Annotated[bool, "Of an inadequate model, ask what it leaves out."] = True,
+    suspects: Annotated[bool, "Test what the fit held or left out."] = True,
     figures: Annotated[bool, "Draw pictures of the result."] = True,
     self_test: Annotated[bool, "Repeat it with noise drawn anew: are its errors right?"] = False,
     report: Annotated[bool, "Write report.html, a page for a browser, too."] = False,

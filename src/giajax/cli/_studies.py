@@ -337,7 +337,7 @@ def suspects(
 
     others = read_runs(held_out or [], Definition(), rename=given.renamed)
     found = tested(fitted, runs, each=each or [])
-    fitted = dataclasses.replace(fitted, suspects=found.rows)
+    fitted = dataclasses.replace(fitted, suspects=found.rows, verdict=found.judge(fitted))
     fitted = with_systematic_errors(fitted, runs, deviations or None)
     shown = not (given.as_json or given.quiet)
     if shown:

@@ -44,6 +44,8 @@ class Suspect:
         testable: whether the data would show it, beside what the fit moved.
         alike: paths of other suspects that the data can hardly tell from this one.
         note: why it is not testable, or what a reader must know; may be empty.
+        moves: by how many of their standard errors the step moves fitted parameters, by path; of
+            parameters that are significant.
     """
 
     path: str
@@ -58,6 +60,7 @@ class Suspect:
     testable: bool
     alike: tuple[str, ...] = ()
     note: str = ""
+    moves: dict[str, float] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)

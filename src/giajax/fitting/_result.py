@@ -331,6 +331,10 @@ class FitResult(ShownAsTable):
                 f"{self.verdict.reasons[0].sentence}; {message}; the standard errors are "
                 "conditional on a model that does not describe the data"
             )
+        elif (first := self.verdict.reasons[:1]) and first[0].code == "suspect":
+            shouted.append("DOUBTFUL MODEL")
+            # What to do about it stands in the verdict.
+            message = f"{first[0].sentence.partition(': fit it')[0]}; {message}"
         return f"{', '.join(shouted)}: {message}" if shouted else message
 
 

@@ -197,18 +197,16 @@ def _weighted(
 
 
 def verdict(state: FitState, status: Status, prior_degrees_of_freedom: float) -> Verdict:
-    """Whether the model describes the data, at the end of a fit, if it ever reached an optimum."""
-    ended = {"not_converged": "did not converge", "interrupted": "was interrupted"}.get(status, "")
-    early = Verdict("not evaluated", (Reason("end", f"the fit {ended}", 1.0, 1.0),))
-    # Where the noise was estimated anew, an optimum was reached with the noise before.
-    anew = status == "not_converged" and state.rounds_left < FitState.rounds_left
-    if ended and not anew:
-        return early
-    series = residual_series(state, prior_degrees_of_freedom)
-    if not series:
-        return Verdict("adequate")
-    found = judge(series, robust=not state.setup.loss.is_linear)
-    return early if ended and found.status != "inadequate" else found
+    """Whether the model describes the data, at the best point of the fit."""
+    series = residual_series(state, prior_degrees_of_freedom) if state.evaluated else []
+    found = Verdict("adequate")
+    if series:
+        found = judge(series, robust=not state.setup.loss.is_linear)
+    ended = {"not_converged": "did not converge", "interrupted": "was interrupted"}.get(status)
+    if ended is None:
+        return found
+    sentence = f"the fit {ended}: this is the best point so far, and no optimum"
+    return found.doubted(Reason("end", sentence, 1.0, 1.0))
 
 
 def residual_series(state: FitState, prior_degrees_of_freedom: float) -> list[Series]:

@@ -26,6 +26,7 @@ from ._restricted import (
 from ._verdict import (
     DIFFERENCES as DIFFERENCES,
     OUTLIER as OUTLIER,
+    SUSPECT_LEVEL as SUSPECT_LEVEL,
     Reason as Reason,
     Series as Series,
     Verdict as Verdict,

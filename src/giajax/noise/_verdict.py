@@ -90,7 +90,7 @@ class Series:
         return dataclasses.replace(self, residual=white, stated=unit, adopted=1.0)
 
 
-VerdictStatus = Literal["adequate", "inadequate", "not evaluated"]
+VerdictStatus = Literal["adequate", "doubtful", "inadequate", "not evaluated"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,7 +98,8 @@ class Reason:
     """One way in which residuals are not what the noise alone would leave.
 
     Attributes:
-        code: "noise", "correlation", "differences", "drift", "runs" or "prediction".
+        code: "noise", "correlation", "differences", "drift", "runs" or "prediction"; "suspect" of
+            what the fit held or left out, "end" of a fit that has no optimum, "cells" of too few.
         sentence: what is seen, and where.
         p_value: chance of as much from the noise alone, corrected for how often was looked.
         size: how many times the noise the residuals are for this reason; infinite where the model
@@ -118,8 +119,10 @@ class Verdict:
     """Whether the model describes the data; apart from whether the fit converged.
 
     Attributes:
-        status: "adequate", "inadequate", or "not evaluated".
-        reasons: why it is inadequate, the surest first; or the one why it was not evaluated.
+        status: "adequate"; "inadequate", where the residuals are not what the noise would leave;
+            "doubtful", where they are, but something that was held or left out is significant and
+            moves a parameter, or the fit has no optimum; "not evaluated" of too few cells.
+        reasons: why it is not adequate, the surest first.
     """
 
     status: VerdictStatus
@@ -133,8 +136,21 @@ class Verdict:
 
     def with_reason(self, reason: Reason) -> Self:
         """With one more reason; what was not evaluated for want of cells is inadequate by it."""
-        others = self.reasons if self.status == "inadequate" else ()
+        others = self.reasons if self.status != "not evaluated" else ()
         return self.inadequate((*others, reason))
+
+    def doubted(self, reason: Reason) -> Self:
+        """With a reason that residuals do not show: an adequate model is doubtful by it."""
+        status: VerdictStatus = "inadequate" if self.status == "inadequate" else "doubtful"
+        others = self.reasons if self.status != "not evaluated" else ()
+        reasons = sorted((*others, reason), key=lambda each: each.p_value)
+        return dataclasses.replace(self, status=status, reasons=tuple(reasons))
+
+    def without(self, code: str) -> Self:
+        """Without the reasons of a code that made an adequate model doubtful."""
+        reasons = tuple(reason for reason in self.reasons if reason.code != code)
+        status = self.status if reasons or self.status != "doubtful" else "adequate"
+        return dataclasses.replace(self, status=status, reasons=reasons)
 
     @property
     def sentence(self) -> str:
@@ -155,9 +171,10 @@ class Verdict:
 # large misfit may be chance. Each function looks at several things and corrects for how many
 # (Bonferroni), so that noise alone gives a reason with the chance `LEVEL` at most.
 
-# These five tests and that of what was held out (`giajax.fitting`) together have a chance of 2 % to
-# accuse an adequate model.
-LEVEL = 0.02 / 6
+# These five tests and that of what was held out (`giajax.fitting`) together have a chance of 1.2 %
+# to accuse an adequate model, and what it holds or leaves out (`giajax.suspects`) one of 0.8 %.
+LEVEL = 0.012 / 6
+SUSPECT_LEVEL = 0.008
 
 SIZE = 1.1  # noise up by a tenth is worth a word
 

@@ -27,7 +27,12 @@ def first_suspects(result: FitResult, most: int = 3) -> Rows:
 
 
 def significant(result: FitResult) -> list[Suspect]:
-    """The suspects of a result that are significant, the most promising first."""
+    """The suspects of a result that are significant, the most promising first.
+
+    None of an adequate model, of which by chance every twentieth has one.
+    """
+    if result.verdict.status == "adequate":
+        return []
     return [row for row in promising(result.suspects) if (row.p_value or 0.0) < LEVEL]
 
 

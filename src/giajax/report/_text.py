@@ -120,10 +120,10 @@ def _range(values: Sequence[float | None], digits: int = 3) -> str:
 def _verdict(result: FitResult) -> list[str]:
     """Whether the model describes the data, and a line for each reason why it does not."""
     verdict = result.verdict
-    if verdict.status != "inadequate":
-        return [verdict.sentence]
+    if not verdict.reasons:
+        return [verdict.status]
     first, *others = (reason.sentence for reason in verdict.reasons)
-    return [f"inadequate: {first}", *others]
+    return [f"{verdict.status}: {first}", *others]
 
 
 def _noise(result: FitResult) -> list[str]:

@@ -1,5 +1,6 @@
 """Sentences and numbers as text, and the error that a person's input causes."""
 
+import abc
 import contextlib
 import html
 import math
@@ -129,9 +130,9 @@ _MOST_ROWS = 24  # more cannot be read at a glance
 class ShownAsTable:
     """What a notebook and `rich` show as a table of text; what looks like markup in it is text."""
 
+    @abc.abstractmethod
     def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
         """The title, the headings, which may all be empty, and the rows."""
-        raise NotImplementedError
 
     def _few(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
         title, headings, rows = self._table()

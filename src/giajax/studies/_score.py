@@ -16,6 +16,7 @@ from scipy.special import fdtrc, stdtr
 from ..fitting import (
     Direction,
     FitResult,
+    Noise,
     Response,
     checked_priors,
     layout_of,
@@ -26,7 +27,16 @@ from ..fitting import (
     tied,
 )
 from ..models import AbstractModel, capabilities
-from ..noise import by_second_differences
+from ..noise import (
+    Cells,
+    ChannelNoise,
+    Restricted,
+    by_second_differences,
+    estimate,
+    small_sample,
+    tail,
+    whitened,
+)
 from ..recordings import Run
 from ..schema.parameters import declared, get, replace
 
@@ -489,3 +499,127 @@ def alike(rest: Projected, one: Sequence[int], other: Sequence[int]) -> float:
     """Cosine of the largest angle from the span of some columns to that of others."""
     a, b = basis_of(rest.columns[:, list(one)]), basis_of(rest.columns[:, list(other)])
     return float(np.min(np.linalg.svd(a.T @ b, compute_uv=False), initial=1.0))
+
+
+# Of a cell that a robust loss leaves out: a weight of 0 would be no measurement.
+_LEAST_WEIGHT = 1e-12
+
+
+def slopes_of(
+    result: FitResult, runs: Sequence[Run], at: Sequence[Response], columns: Sequence[int]
+) -> np.ndarray:
+    """d(fitted)/d(held), shape (fitted, held); of what not all runs share, the mean.
+
+    The `columns` are positions of what is held among the responses. Where residuals are stationary
+    in what is fitted, d(theta)/dc = -(J^T J)^-1 J^T z, all whitened as the fit weighed them.
+    """
+    coordinates = Coordinates.of(result)
+    fitted, shared = len(result.free), len(coordinates.shared)
+    rows, of_runs = [], []
+    for number, (response, run) in enumerate(zip(at, runs, strict=True)):
+        common, own = coordinates.split(number, response.columns[..., :fitted], response.own)
+        several = np.concatenate([common, response.columns[..., list(columns)], own], axis=-1)
+        cells = _whitened(result, number, run, response, several)
+        cells, own = np.split(cells, [shared + len(columns)], axis=1)
+        # A prior is one more row, to which nothing that is held responds.
+        known = coordinates.known_of_runs[number]
+        cells = np.concatenate([cells, np.zeros((len(known), cells.shape[1]))])
+        own = np.concatenate([own, known[:, 1:]])
+        of_run = _explained(own, cells)
+        rows.append(cells - own @ of_run)
+        of_runs.append(of_run)
+    known = np.pad(coordinates.known[:, 1:], ((0, 0), (0, len(columns))))
+    jacobian, held = np.split(np.concatenate([*rows, known]), [shared], axis=1)
+    common = -_explained(jacobian, held)
+    by_path: list[list[np.ndarray]] = [[] for _ in result.free]
+    for index, slope in zip(coordinates.shared, common, strict=True):
+        by_path[index].append(slope)
+    for places, of_run in zip(coordinates.places, of_runs, strict=True):
+        alone = -(of_run[:, shared:] + of_run[:, :shared] @ common)
+        # The values of the run's own state, which come after, are no parameters of the model.
+        mine = [index for index, place in enumerate(places) if place < 0]
+        for index, slope in zip(mine, alone, strict=False):
+            by_path[index].append(slope)
+    return np.stack([np.mean(slopes, axis=0) for slopes in by_path])
+
+
+def _explained(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Least squares, shape (column, row); columns may be of very different size, or depend."""
+    norms = np.linalg.norm(columns, axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    coefficients: np.ndarray = np.linalg.lstsq(columns / norms, rows, rcond=_RANK)[0]
+    return coefficients / norms[:, None]
+
+
+def _whitened(
+    result: FitResult, number: int, run: Run, response: Response, columns: np.ndarray
+) -> np.ndarray:
+    """Columns (sample, channel, column) over the measured cells, as the fit weighed them."""
+    loss, record = result.loss, result.runs[number]
+    parts = []
+    for index, name in enumerate(response.channels):
+        measured = ~np.isnan(response.observed[:, index])
+        channel, known = run.channels[name], record.channels[name]
+        whole, correlated = (float(channel.to_si(one)) for one in (known.noise, known.correlated))
+        noise = ChannelNoise.of_cell(whole, correlated, known.correlation_time_s)
+        rest = (response.predicted - response.observed)[measured, index] / noise.deviation
+        # The second derivative of the loss: a residual beyond its corner does not pull.
+        weights = np.maximum(loss.scores(rest).curvature, _LEAST_WEIGHT)
+        times = None if run.times is None else run.times[measured]
+        parts.append(whitened(noise, times, columns[measured, index], weights))
+    return np.concatenate(parts)
+
+
+def among_memory(
+    result: FitResult,
+    runs: Sequence[Run],
+    at: Sequence[Response],
+    coordinates: Coordinates,
+    columns: Sequence[Array],
+) -> float:
+    """The p-value of some columns together, where noise with a memory may explain them as well.
+
+    The noise of each channel is estimated anew by restricted likelihood, white or correlated, with
+    the columns among what the fit could move: what a memory explains better is none of theirs.
+    Wald's test of generalised least squares has the degrees of freedom of that noise.
+
+    Arguments:
+        columns: of each run, shape (sample, channel, column).
+    """
+    fitted, asked = len(result.free), columns[0].shape[-1]
+    noise = Noise.of(runs, per_run=bool(result.config.get("noise_per_run")))
+    deviations = white_noise(result, runs, at)
+    # What all runs share, what is of each run alone, and what is asked, side by side.
+    priors = [coordinates.known, *coordinates.known_of_runs]
+    ends = np.cumsum([rows.shape[1] - 1 for rows in priors]).tolist()
+    size = ends[-1] + asked
+
+    def placed(rows: Array, begin: int) -> Array:
+        return np.pad(rows, ((0, 0), (begin, size - begin - rows.shape[1])))
+
+    cells: list[Cells] = []
+    begun: dict[str, ChannelNoise] = {}
+    for number, (run, response) in enumerate(zip(runs, at, strict=True)):
+        common, own = coordinates.split(number, response.columns[..., :fitted], response.own)
+        for place, name in enumerate(response.channels):
+            kept, key = ~np.isnan(response.observed[:, place]), noise.keys[number][name]
+            several = placed(common[kept, place], 0) + placed(own[kept, place], ends[number])
+            several += placed(columns[number][kept, place], ends[-1])
+            rest = (response.predicted - response.observed)[kept, place]
+            times = None if run.times is None else run.times[kept]
+            none = np.zeros((len(rest), 0))
+            cells.append(Cells(key, number, times, np.ones(len(rest)), rest, several, none))
+            begun.setdefault(key, ChannelNoise(deviations[number][name]))
+    rows = [placed(x[:, 1:], begin) for x, begin in zip(priors, [0, *ends[:-1]], strict=True)]
+    known = np.column_stack([np.concatenate(rows), np.concatenate([x[:, 0] for x in priors])])
+    prior, stated = known.T @ known, noise.stated_by_key()
+    found = estimate(Restricted.of(cells, begun, prior), stated, correlated=True)
+    gram = prior + np.sum([each.gram(found.noise[each.key])[0] for each in cells], axis=0)
+    norms = np.sqrt(np.diag(gram)[:-1])
+    scale = np.outer(*[np.where(norms > 0, norms, 1.0)] * 2)
+    covariance = np.linalg.pinv(gram[:-1, :-1] / scale, rcond=1e-12, hermitian=True) / scale
+    step = (covariance @ gram[:-1, -1])[-asked:]
+    spread = small_sample(found, cells, covariance, stated)
+    inner = np.linalg.pinv(spread.covariance[-asked:, -asked:], rcond=1e-10, hermitian=True)
+    freedom = float(np.min(spread.degrees_of_freedom[-asked:]))
+    return tail(asked, freedom, float(step @ inner @ step) / asked)

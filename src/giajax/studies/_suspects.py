@@ -18,9 +18,10 @@ from ..fitting import (
     tied,
 )
 from ..models import AbstractModel, capabilities
+from ..noise import SUSPECT_LEVEL, Reason, Verdict
 from ..recordings import Channel, Run
 from ..runtime.records import json_text
-from ..runtime.text import InputError
+from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import declared, replace
 from ._candidates import Candidate, Inquiry, inquiry, is_disturbed, not_neutral
 from ._refit import with_fitted_states
@@ -30,11 +31,13 @@ from ._score import (
     Projected,
     Score,
     alike,
+    among_memory,
     cell_factors,
     models_of_runs,
     projected,
     responses_of,
     score,
+    slopes_of,
     tables,
     weighted_rest,
 )
@@ -100,9 +103,46 @@ class Suspects:
         """
         return {row.path: row for row in reversed(self.rows)}[path]
 
+    def judge(self, result: FitResult) -> Verdict:
+        """The verdict on the fit that was asked, with the first suspect that makes it doubtful.
+
+        That is one which chance does not explain, and which moves a fitted parameter by more than
+        one of its standard errors. An inadequate model stays what it is.
+        """
+        verdict = result.verdict.without("suspect")
+        if verdict.status == "inadequate":
+            return verdict
+        for row in self.promising:
+            path, by = max(row.moves.items(), key=lambda each: abs(each[1]), default=("", 0.0))
+            if (row.p_value or 0.0) < SUSPECT_LEVEL and abs(by) > 1:
+                return verdict.doubted(
+                    Reason("suspect", _doubt(row, path, by, result), row.p_value or 0.0, abs(by))
+                )
+        return verdict
+
     def to_json(self) -> str:
         """As JSON: an object with the attributes."""
         return json_text(self)
+
+
+def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
+    """What was held or left out, how large it is, what that moves, and what to do."""
+    values, errors = (
+        np.atleast_1d(np.array(row.estimate)),
+        np.atleast_1d(np.array(row.estimate_error)),
+    )
+    pairs = [format_estimate(*each) for each in zip(values.tolist(), errors.tolist(), strict=True)]
+    shown = ", ".join(f"{value} +- {error}" for value, error in pairs)
+    unit = f" {row.unit}" if row.unit else ""
+    also = (
+        f" (or {', '.join(row.alike)}, which the data can hardly tell from it)" if row.alike else ""
+    )
+    held = "" if row.value is None or np.ndim(row.value) else f"{row.value:.4g}{unit}, "
+    free = " ".join(f"--free {each}" for each in [*result.free, row.path])
+    return (
+        f"{row.path}{also} is held at {held}and the residuals ask for {shown}{unit}, which moves "
+        f"{path} by {by:+.2g} of its standard errors: fit it, too, by {free}"
+    )
 
 
 _AXES = "xyz"
@@ -254,7 +294,8 @@ _NOT_SHOWN = 3.0
 _ALIKE = 0.99
 
 
-def parameter_rows(rest: Projected, asked: Inquiry) -> list[Suspect]:
+def parameter_rows(rest: Projected, asked: Inquiry) -> tuple[list[Suspect], dict[str, list[int]]]:
+    """A row of each parameter that is held, and the candidates of each that is testable."""
     candidates = asked.candidates
     notes = [_why_not(rest, index, one) for index, one in enumerate(candidates)]
     members: dict[str, list[int]] = {}
@@ -286,7 +327,7 @@ def parameter_rows(rest: Projected, asked: Inquiry) -> list[Suspect]:
             and alike(rest, indices, other) > _ALIKE
         )
         rows.append(_row(path, among, found, others))
-    return rows
+    return rows, members
 
 
 def _row(path: str, among: Sequence[Candidate], found: Score, others: tuple[str, ...]) -> Suspect:
@@ -354,7 +395,13 @@ def switch_row(rest: Projected, index: int, name: str) -> Suspect:
     )
 
 
-def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str] = ()) -> Suspects:
+def suspects(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    *,
+    each: Sequence[str] = (),
+    parameters_alone: bool = False,
+) -> Suspects:
     """What the residuals of a fit ask for.
 
     At the end of a fit everything that it held, switched off or left out gets a test: how much
@@ -378,6 +425,7 @@ def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str
         result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
         each: paths of arrays, such as `encoder.offset`, whose elements are tested one by one and
             together; by default all of them change in proportion.
+        parameters_alone: leave out choices and axes, each of which takes a program of its own.
 
     Raises:
         InputError: other runs, no array in `each`, or a model that cannot be evaluated there.
@@ -395,16 +443,18 @@ def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str
         asked = inquiry(*of_this_fit, not_neutral(result, runs))
         at = linearised(result, runs, asked)
     factors = cell_factors(result, runs, at)
-    switches = _switches(result, asked, runs)
+    switches = {} if parameters_alone else _switches(result, asked, runs)
     of_fit = Coordinates.of(result)
     rest = projected(tables(at, runs, factors, of_fit, list(switches.values())), of_fit.known)
     cells = _chi_square(at, [response.predicted for response in at], factors)
     chi_square = cells + of_fit.squares
-    rows = parameter_rows(rest, asked)
+    rows, members = parameter_rows(rest, asked)
     first = len(asked.candidates)
     rows += [switch_row(rest, first + i, name) for i, name in enumerate(switches)]
-    axes, ways = axes_row(result, runs, at, factors, cells, rest)
-    rows += axes
+    ways = 0
+    if not parameters_alone:
+        axes, ways = axes_row(result, runs, at, factors, cells, rest)
+        rows += axes
     rows += [_untestable(path, "parameter", why) for path, why in asked.impossible.items()]
     rows, number = _corrected(rows, further=max(ways - 1, 0))
     # What a column of random numbers takes from residuals of this size, on the scale of BIC.
@@ -415,13 +465,74 @@ def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str
             return -np.inf
         return float(row.chi_square_drop - price * row.degrees_of_freedom)
 
+    rows = sorted(rows, key=worth, reverse=True)
+    fitted = len(result.free)
+    columns = {
+        path: [response.columns[..., [fitted + place for place in of]] for response in at]
+        for path, of in members.items()
+    }
+    columns |= {name: [each[..., None] for each in of] for name, of in switches.items()}
+    rows = _among_memory(rows, columns, result, runs, at, of_fit, number)
     return Suspects(
-        rows=tuple(sorted(rows, key=worth, reverse=True)),
+        rows=tuple(_with_moves(rows, members, result, runs, at)),
         chi_square=chi_square,
         values=rest.values,
         parameters=rest.parameters,
         asked=number,
     )
+
+
+def _among_memory(
+    rows: Sequence[Suspect],
+    columns: Mapping[str, Sequence[np.ndarray]],
+    result: FitResult,
+    runs: Sequence[Run],
+    at: Sequence[Response],
+    coordinates: Coordinates,
+    number: int,
+) -> list[Suspect]:
+    """Rows with the larger p-value where noise with a memory explains them, too.
+
+    Only the promising ones that are significant are asked, of so many tests in all; where outliers
+    count less, none is.
+    """
+    shown = {id(row) for row in promising(rows)} if result.loss.is_linear else set()
+
+    def confirmed(row: Suspect) -> Suspect:
+        if id(row) not in shown or row.path not in columns or (row.p_value or 0.0) >= LEVEL:
+            return row
+        single = among_memory(result, runs, at, coordinates, columns[row.path])
+        p_value = max(row.p_value or 0.0, min(number * single, 1.0))
+        return dataclasses.replace(row, p_value=p_value)
+
+    return [confirmed(row) for row in rows]
+
+
+def _with_moves(
+    rows: Sequence[Suspect],
+    members: Mapping[str, Sequence[int]],
+    result: FitResult,
+    runs: Sequence[Run],
+    at: Sequence[Response],
+) -> list[Suspect]:
+    """Rows with what the steps of those that are significant do to the fitted parameters."""
+    named = {row.path: row for row in rows if (row.p_value or 0.0) < LEVEL and row.testable}
+    places = {path: members[path] for path in named if path in members}
+    columns = sorted({place for of in places.values() for place in of})
+    if not columns:
+        return list(rows)
+    slopes = slopes_of(result, runs, at, [len(result.free) + place for place in columns])
+    errors = np.asarray([one.standard_error or np.nan for one in result.free.values()])
+
+    def moved(row: Suspect) -> Suspect:
+        if row.path not in places or row is not named[row.path]:
+            return row
+        step = np.ravel(np.subtract(np.array(row.estimate), np.array(row.value)))
+        shift = slopes[:, np.searchsorted(columns, places[row.path])] @ step / errors
+        known = dict(zip(result.free, shift.tolist(), strict=True))
+        return dataclasses.replace(row, moves={p: by for p, by in known.items() if by == by})
+
+    return [moved(row) for row in rows]
 
 
 def _chi_square(

@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..fitting import Direction, FitResult, Response, SystematicError, matching_runs
+from ..fitting import Direction, FitResult, SystematicError, matching_runs
 from ..models import AbstractModel
-from ..noise import ChannelNoise, whitened
 from ..recordings import Run
 from ..runtime.text import InputError
 from ..schema.parameters import elements, get, switched_on
 from ._candidates import Inquiry, inquiry
-from ._score import Coordinates, responses_of
+from ._score import responses_of, slopes_of
 from ._suspects import suspects
 
 FRACTION = 0.01
@@ -100,9 +99,6 @@ def _shared(doubt: Doubt, asked: Inquiry) -> Doubt:
     return doubt
 
 
-_RANK = 1e-9
-# Of a cell that a robust loss leaves out: a weight of 0 would be no measurement.
-_LEAST_WEIGHT = 1e-12
 _NOTHING = 1e-6  # standard errors; what is moved by less is not moved
 
 
@@ -149,7 +145,7 @@ def systematic_errors(
             directions.append(doubt.direction)
     at = responses_of(result, several, asked.model, directions)
     columns = [places[id(doubt.direction)] for doubt in doubts]
-    slopes = _slopes(result, several, at, columns)
+    slopes = slopes_of(result, several, at, columns)
     errors = [_error(result, doubt, slopes[:, index]) for index, doubt in enumerate(doubts)]
     kept = [(error, _weight(result, error)) for error in errors]
     # The stated ones first, then what decides most; what moves nothing is not worth a row.
@@ -207,73 +203,16 @@ def _weight(result: FitResult, error: SystematicError) -> float:
     )
 
 
-def _slopes(
-    result: FitResult, runs: Sequence[Run], at: Sequence[Response], columns: Sequence[int]
-) -> np.ndarray:
-    """d(fitted)/d(held), shape (fitted, held); of what not all runs share, the mean."""
-    coordinates = Coordinates.of(result)
-    fitted, shared = len(result.free), len(coordinates.shared)
-    rows, of_runs = [], []
-    for number, (response, run) in enumerate(zip(at, runs, strict=True)):
-        common, own = coordinates.split(number, response.columns[..., :fitted], response.own)
-        several = np.concatenate([common, response.columns[..., list(columns)], own], axis=-1)
-        cells = _whitened(result, number, run, response, several)
-        cells, own = np.split(cells, [shared + len(columns)], axis=1)
-        # A prior is one more row, to which nothing that is held responds.
-        known = coordinates.known_of_runs[number]
-        cells = np.concatenate([cells, np.zeros((len(known), cells.shape[1]))])
-        own = np.concatenate([own, known[:, 1:]])
-        of_run = _explained(own, cells)
-        rows.append(cells - own @ of_run)
-        of_runs.append(of_run)
-    known = np.pad(coordinates.known[:, 1:], ((0, 0), (0, len(columns))))
-    jacobian, held = np.split(np.concatenate([*rows, known]), [shared], axis=1)
-    common = -_explained(jacobian, held)
-    by_path: list[list[np.ndarray]] = [[] for _ in result.free]
-    for index, slope in zip(coordinates.shared, common, strict=True):
-        by_path[index].append(slope)
-    for places, of_run in zip(coordinates.places, of_runs, strict=True):
-        alone = -(of_run[:, shared:] + of_run[:, :shared] @ common)
-        # The values of the run's own state, which come after, are no parameters of the model.
-        mine = [index for index, place in enumerate(places) if place < 0]
-        for index, slope in zip(mine, alone, strict=False):
-            by_path[index].append(slope)
-    return np.stack([np.mean(slopes, axis=0) for slopes in by_path])
-
-
-def _explained(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Least squares, shape (column, row); columns may be of very different size, or depend."""
-    norms = np.linalg.norm(columns, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
-    coefficients: np.ndarray = np.linalg.lstsq(columns / norms, rows, rcond=_RANK)[0]
-    return coefficients / norms[:, None]
-
-
-def _whitened(
-    result: FitResult, number: int, run: Run, response: Response, columns: np.ndarray
-) -> np.ndarray:
-    """Columns (sample, channel, column) over the measured cells, as the fit weighed them."""
-    loss, record = result.loss, result.runs[number]
-    parts = []
-    for index, name in enumerate(response.channels):
-        measured = ~np.isnan(response.observed[:, index])
-        channel, known = run.channels[name], record.channels[name]
-        whole, correlated = (float(channel.to_si(one)) for one in (known.noise, known.correlated))
-        noise = ChannelNoise.of_cell(whole, correlated, known.correlation_time_s)
-        rest = (response.predicted - response.observed)[measured, index] / noise.deviation
-        # The second derivative of the loss: a residual beyond its corner does not pull.
-        weights = np.maximum(loss.scores(rest).curvature, _LEAST_WEIGHT)
-        times = None if run.times is None else run.times[measured]
-        parts.append(whitened(noise, times, columns[measured, index], weights))
-    return np.concatenate(parts)
-
-
 def with_suspects(
-    result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str] = ()
+    result: FitResult, runs: Run | Sequence[Run], *, parameters_alone: bool = False
 ) -> FitResult:
-    """The result with its suspects, as of `giajax.suspects`, and its systematic errors."""
-    asked = dataclasses.replace(result, suspects=suspects(result, runs, each=each).rows)
-    return with_systematic_errors(asked, runs)
+    """The result with its suspects, as of `giajax.suspects`, and its verdict with them.
+
+    Where not parameters alone are asked, with its systematic errors, too.
+    """
+    found = suspects(result, runs, parameters_alone=parameters_alone)
+    asked = dataclasses.replace(result, suspects=found.rows, verdict=found.judge(result))
+    return asked if parameters_alone else with_systematic_errors(asked, runs)
 
 
 def with_systematic_errors(

@@ -168,16 +168,19 @@ class Preparation:
     def diagnosed(self, result: FitResult, *, suspects: bool = True) -> FitResult:
         """The result of `run` with what is asked of a fit once it has ended.
 
-        That is systematic errors, where uncertainties are stated, and suspects, where its model is
-        inadequate. The same result where nothing is asked, where Ctrl-C ends it, or where the model
-        cannot be evaluated with all of its parts on.
+        That is systematic errors, where uncertainties are stated, and suspects, which may make an
+        adequate model doubtful: parameters alone, or of a fit that is not adequate choices of the
+        model, too. The same result where nothing is asked, where Ctrl-C ends it, or where the
+        model cannot be evaluated with all of its parts on.
         """
         doubted = self.definition.fit.uncertainty
         with contextlib.suppress(KeyboardInterrupt, InputError):
             if result.status != "interrupted" and doubted:
                 result = with_systematic_errors(result, self.runs, doubted)
-            if suspects and result.verdict.status == "inadequate":
-                result = with_suspects(result, self.runs)
+            judged = result.verdict.status != "not evaluated"
+            if suspects and judged and result.status != "interrupted":
+                adequate = result.verdict.status == "adequate"
+                result = with_suspects(result, self.runs, parameters_alone=adequate)
         return result
 
 

@@ -83,6 +83,12 @@ def opening(result: FitResult) -> Opening:
             "The fit has converged, but the model does not describe the data: the standard errors "
             "are those of a model that is not right, and the true errors may be larger"
         )
+    elif result.verdict.status == "doubtful":
+        grade = "doubtful"
+        headline = (
+            "The fit has converged and its residuals are within the noise, but something that it "
+            "held or left out is significant, and moves what was fitted by more than its errors"
+        )
     elif result.verdict.status == "not evaluated":
         grade = "doubtful"
         headline = "The fit has converged; whether the model describes the data was not judged"
@@ -100,7 +106,8 @@ def opening(result: FitResult) -> Opening:
 def _of_the_model(result: FitResult) -> list[str]:
     reasons = result.verdict.reasons if result.status == "converged" else ()
     said = [reason.sentence for reason in reasons]
-    for row in significant(result)[:1]:
+    doubted = any(reason.code == "suspect" for reason in reasons)
+    for row in [] if doubted else significant(result)[:1]:
         said.append(f"the residuals ask most for {row.path}, which the model holds or leaves out")
     return said
 
