@@ -24,7 +24,7 @@ TIGHT = 1e-13
 def uneven():
     """Nothing alike, in a wind that grows, so that all of it moves at once."""
     wind = ramps([0.0, 1.0], [[0.2, -0.1, 0.3], [0.5, 0.2, 0.1]])
-    return full_arm(LINKS), wind
+    return replace(full_arm(LINKS), {"joints.drive_lag": 0.3}), wind
 
 
 def floating():
@@ -38,6 +38,8 @@ def floating():
         "joints.friction": 0.05,
         "joints.friction_rate": 0.3,
         "joints.armature": 0.01,
+        # A little below 0 the motion is as smooth as above.
+        "joints.drive_lag": 0.0,
     }
     # By Reynolds number C_D is so large at first that a difference would have to be tiny.
     arm = takeichi_20m_full(LINKS, drag_curve="constant", parameters=options)

@@ -7,9 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.integrate import solve_ivp
 
 from giajax.runtime.text import InputError
-from giajax.simulation import constant, joint_ramps, joint_steps, last_before, logged, ramps, steps
+from giajax.simulation import (
+    constant,
+    joint_ramps,
+    joint_steps,
+    lagged,
+    last_before,
+    logged,
+    ramps,
+    steps,
+)
 
 RANDOM = np.random.default_rng(0)
 
@@ -53,6 +63,69 @@ def test_interpolation_is_chosen_by_name():
     assert_allclose(evaluate(logged(times, values), [0.5, 1.0, 1.5]), [[0.5], [1.0], [0.5]])
     with pytest.raises(InputError, match="'cubic' is unknown: use 'zoh' or 'linear'"):
         logged(times, values, "cubic")
+
+
+@pytest.mark.parametrize("make", [steps, ramps])
+def test_what_lags_is_what_an_integrator_makes_of_it(make):
+    """lag dy/dt = u - y, piece by piece, from rest."""
+    times, values = a_log(12)
+    lags = np.asarray([0.3, 0.05, 2.0])
+    signal = make(times, values)
+    wanted = np.linspace(times[0] - 1, times[-1] + 1, 301)
+    expected, state = np.repeat(values[:1], 301, axis=0), values[0]
+    slopes = np.asarray(signal.slopes)
+    for k, (begin, end) in enumerate(pairwise([*np.asarray(signal.times), times[-1] + 1])):
+        first = np.asarray(signal.values)[k]
+        inside = (begin <= wanted) & (wanted <= end)
+        at = np.unique([*wanted[inside], end])
+        found = solve_ivp(
+            lambda t, y, k=k, first=first, begin=begin: (
+                (first + slopes[k] * (t - begin) - y) / lags
+            ),
+            (begin, end), state, t_eval=at, method="DOP853", rtol=1e-11, atol=1e-12,
+        )  # fmt: skip
+        expected[inside], state = found.y.T[: inside.sum()], found.y[:, -1]
+    assert_allclose(evaluate(lagged(signal, jnp.asarray(lags)), wanted), expected, atol=1e-8)
+    one = evaluate(lagged(signal, jnp.asarray(lags[0])), wanted)
+    assert_allclose(one[:, 0], expected[:, 0], atol=1e-8)
+
+
+def test_without_a_lag_a_signal_is_itself():
+    signal = ramps(*a_log(30))
+    wanted = np.linspace(-1.0, float(signal.times[-1]) + 1, 200)
+    assert lagged(signal, None) is signal
+    exact = evaluate(signal, wanted)
+    assert_allclose(evaluate(lagged(signal, jnp.zeros(())), wanted), exact, atol=1e-14)
+    # What is left of it falls in proportion.
+    for lag in (1e-3, 1e-6, 1e-300):
+        late = evaluate(lagged(signal, jnp.asarray(lag)), wanted)
+        assert np.abs(late - exact).max() < 200 * lag + 1e-14
+
+
+@pytest.mark.parametrize("lag", [0.0, 1e-14, 1e-9, 0.2])
+def test_derivatives_by_a_lag_are_those_of_differences(lag):
+    """At 0 that from above; forward, in reverse and under vmap."""
+    signal = ramps([0.5, 1.0, 1.7, 3.0], [[0.0, 0.2], [1.0, 0.0], [0.3, 0.4], [0.3, 0.4]])
+    wanted = jnp.linspace(0.0, 4.0, 37)[:-1] + 0.01
+
+    def values(lags):
+        return jax.vmap(lagged(signal, lags))(wanted)
+
+    lags = jnp.asarray([lag, 2 * lag])
+    forward = np.asarray(jax.jacfwd(values)(lags))
+    assert_allclose(jax.jacrev(values)(lags), forward, rtol=1e-12, atol=1e-13)
+    h = 1e-7
+    steps_up = np.stack([values(lags + h * unit) for unit in np.eye(2)], axis=-1)
+    if lag > h:
+        steps_up = (steps_up - np.stack([values(lags - h * e) for e in np.eye(2)], axis=-1)) / 2
+    else:
+        steps_up = steps_up - np.asarray(values(lags))[..., None]
+    assert_allclose(forward, steps_up / h, atol=2e-6)
+    assert np.abs(forward).max() > 0.5
+    # By the time, too, which is how fast it follows.
+    slope = jax.vmap(jax.jacfwd(lagged(signal, lags)))(wanted)
+    late = evaluate(signal, wanted) - np.asarray(values(lags))
+    assert_allclose(slope * lags[None], late, atol=1e-12)
 
 
 def test_a_step_and_a_ramp_by_joint():

@@ -426,6 +426,7 @@ def _not_exported(arm: Arm) -> Iterator[str]:
         "the law of drag": arm.air.law is not None,
         "the wind that is a function of place and time": arm.air.wind_field is not None,
         "what joints have beside springs, dampers and friction": bool(arm.joints.further_laws.laws),
+        "the lag of the drives": arm.joints.drive_lag is not None,
         "muscles, and what balloons resist": arm.pneumatics is not None,
         "obstacles": arm.contact is not None,
         "drag of point masses": points is not None and points.drag_area is not None,

@@ -171,6 +171,14 @@ class _Joints(Group):
         optional=True,
         **EACH_JOINT,
     )
+    drive_lag = positive(
+        0.1,
+        "s",
+        "lag of first order with which a joint's drive follows its command",
+        upper=10,
+        optional=True,
+        **EACH_JOINT,
+    )
 
 
 class _Memory(Group):

@@ -28,10 +28,12 @@ from ._return_mapping import (
     with_return_mapping as with_return_mapping,
 )
 from ._signal import (
+    LaggedSignal as LaggedSignal,
     Pressures as Pressures,
     Signal as Signal,
     check_muscles as check_muscles,
     constant as constant,
+    lagged as lagged,
     last_before as last_before,
     logged as logged,
     ramps as ramps,

@@ -23,7 +23,7 @@ from ..mechanics.arm import (
     touch,
 )
 from ..runtime.arrays import Array, Float, Scalar
-from ._signal import Pressures, Signal
+from ._signal import LaggedSignal, Pressures, Signal
 
 
 class Rates(NamedTuple):
@@ -88,7 +88,7 @@ class Inputs(eqx.Module):
 
     Attributes:
         arm: the arm.
-        command: commanded angles over time, rad.
+        command: angles over time that the drives pull towards, rad.
         wind: velocity of the air over time, m/s, of the whole arm or of link after link, or None
             for still air.
         torque: of the joints' drives over time, N m, or None.
@@ -98,7 +98,7 @@ class Inputs(eqx.Module):
     """
 
     arm: Arm
-    command: Signal
+    command: Signal | LaggedSignal
     wind: Signal | None
     torque: Signal | None
     end: Scalar

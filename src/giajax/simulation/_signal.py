@@ -157,6 +157,60 @@ class Signal(eqx.Module):
         return self.values.shape[1]
 
 
+# A lag below this (s) is none: no motion shows it, and quotients by it stay finite.
+_NO_LAG = 1e-12
+
+
+class LaggedSignal(eqx.Module):
+    """What follows a signal u with a lag of first order, lag dy/dt = u - y, from rest; exactly.
+
+    After knot k, where u has the slope s, it is u - lag s + c exp(-(t - t_k) / lag). A lag of 0 has
+    the derivative from above, -s; as those of `Signal` by when it jumps, it is incomplete by that
+    of jumps.
+
+    Arguments:
+        signal: u.
+        lag: of each value, s, shape (width,).
+        transients: the numbers c of each knot, shape (knot, width).
+    """
+
+    signal: Signal
+    lag: Float[Array, " width"]
+    transients: Float[Array, "knot width"]
+
+    def __call__(self, time: Scalar) -> Float[Array, " width"]:
+        """Value at a time (s)."""
+        times = self.signal.times
+        knot = last_before(times, time)
+        left = self.transients[knot] * _left_over(time - times[knot], self.lag)
+        behind = self.lag * self.signal.slopes[knot] - left
+        return self.signal(time) - jnp.where(time >= times[0], behind, 0)
+
+
+def lagged(signal: Signal, lag: Array | None) -> Signal | LaggedSignal:
+    """What follows a signal with a lag (s), one or one for each value; without (None) itself."""
+    if lag is None:
+        return signal
+    lag = jnp.broadcast_to(lag, (signal.width,))
+    elapsed = jnp.diff(signal.times)[:, None]
+    jumps = signal.values[1:] - signal.values[:-1] - signal.slopes[:-1] * elapsed
+    bends = lag[None] * jnp.diff(signal.slopes, axis=0) - jumps
+
+    def after(transient: Array, piece: tuple[Array, Array]) -> tuple[Array, Array]:
+        transient = transient * piece[0] + piece[1]
+        return transient, transient
+
+    first = lag * signal.slopes[0]
+    _, others = jax.lax.scan(after, first, (_left_over(elapsed, lag[None]), bends))
+    return LaggedSignal(signal, lag, jnp.concatenate([first[None], others]))
+
+
+def _left_over(elapsed: Array, lag: Array) -> Array:
+    """What is left of a transient after a time, s."""
+    there = lag > _NO_LAG
+    return jnp.where(there, jnp.exp(-jnp.maximum(elapsed, 0) / jnp.where(there, lag, 1)), 0)
+
+
 def last_before(times: Float[Array, " knot"], time: Scalar) -> Array:
     """Index of the last of increasing times, shape (knot,), not after a time; 0 if all are."""
     count = times.shape[0]

@@ -88,13 +88,18 @@ class Stepper(eqx.Module):
     )
 
     def __check_init__(self) -> None:
-        """Refuse (`InputError`) what is not positive, and an unknown solver."""
+        """Refuse (`InputError`) what is not positive, an unknown solver, and a lag of drives."""
         if is_concrete(self.interval) and not (
             self.interval.ndim == 0 and 0 < self.interval < np.inf
         ):
             raise InputError(f"the interval is {self.interval} s: give one positive number")
         if self.steps < 1:
             raise InputError(f"an interval has {self.steps} steps: give at least one")
+        if self.arm.joints.drive_lag is not None:
+            raise InputError(
+                "the arm has joints.drive_lag, which a motion that is decided on the way does not "
+                "follow: leave it out, or call simulate"
+            )
         if is_concrete(self.tolerance) and self.tolerance is not None and not self.tolerance > 0:
             raise InputError(f"the tolerance is {self.tolerance}: give a positive number, or none")
         if self.tolerance is None:

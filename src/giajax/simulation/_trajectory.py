@@ -21,7 +21,7 @@ from ..runtime.arrays import Array, Bool, Float, Int
 from ..runtime.programs import program
 from ..runtime.text import InputError
 from ._motion import Inputs, along_links
-from ._signal import Signal, constant, ramps, steps
+from ._signal import Signal, constant, lagged, ramps, steps
 
 
 class RESULTS(eqx.Enumeration):
@@ -105,6 +105,11 @@ class Trajectory(eqx.Module):
         return jax.vmap(self.command)(self.times)
 
     @property
+    def followed(self) -> Float[Array, "sample joint"]:
+        """Angles that springs pull towards at the samples, rad: commands, after any lag."""
+        return jax.vmap(lagged(self.command, self.arm.joints.drive_lag))(self.times)
+
+    @property
     def accelerations(self) -> Float[Array, "sample joint"]:
         """Accelerations of the joints at the samples, rad/s^2.
 
@@ -175,8 +180,10 @@ def _over_samples(function: Callable[..., Any], arm: Arm, *rows: Any) -> Any:
 def _moved(motion: Trajectory, what: str) -> Array:
     """Accelerations, torques or forces of the joints at the samples."""
 
-    def at(time: Array, angles: Array, rates: Array, *states: Array | None) -> Array:
-        command, (memory, pressures, skin) = motion.command(time), states
+    def at(
+        time: Array, angles: Array, rates: Array, command: Array, *states: Array | None
+    ) -> Array:
+        memory, pressures, skin = states
         if what == "torques":
             return joint_torque(motion.arm, angles, rates, command, memory, pressures)
         wind = wind_rate = torque = None
@@ -192,7 +199,7 @@ def _moved(motion: Trajectory, what: str) -> Array:
         return joint_forces(motion.arm, angles, rates, found, wind, wind_rate, skin, time)
 
     states = (motion.memory, motion.pressures, motion.skin)
-    return jax.vmap(at)(motion.times, motion.angles, motion.rates, *states)
+    return jax.vmap(at)(motion.times, motion.angles, motion.rates, motion.followed, *states)
 
 
 class Contacts(NamedTuple):

@@ -186,6 +186,7 @@ class Joints(eqx.Module):
     friction: Float[Array, ""] | PerJoint | None = parameter(JOINTS.friction)
     friction_rate: Scalar = parameter(JOINTS.friction_rate)
     armature: Float[Array, ""] | PerJoint | None = parameter(JOINTS.armature)
+    drive_lag: Float[Array, ""] | PerJoint | None = parameter(JOINTS.drive_lag)
     hysteresis: JointHysteresis = inline(default_factory=JointHysteresis)
     laws: dict[str, AbstractJointLaw] = eqx.field(default_factory=dict)
 
