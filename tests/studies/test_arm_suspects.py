@@ -76,6 +76,13 @@ def test_choices_of_an_arm():
     moving = {"air.added_mass_coefficient": 1.0, "joints.memory.strength": 0.1}
     remembers = dataclasses.replace(heavy, arm=giajax.replace(heavy.arm, moving))
     assert list(remembers.variants())[2:] == ["arm.added_mass = inertia"]
+    late = replace(arm(), {"camera.delay": 0.2})
+    *same, lag = late.variants()
+    assert (same, lag) == (names, "joints.drive_lag = camera.delay, camera.delay = 0")
+    lagging = late.variants()[lag]
+    assert float(lagging.arm.joints.drive_lag) == 0.2
+    assert float(lagging.sensors.camera.delay) == 0
+    assert list(lagging.variants()) == names
     other = floating.variants()["arm.drag = centre"]
     assert other.arm.air.drag == "centre"
     assert floating.arm.air.drag == "strip"

@@ -16,8 +16,8 @@ from ..runtime.arrays import Array, Bool, Float, Scalar, on_device
 from ..runtime.programs import program
 from ..runtime.solvers import as_text, from_text
 from ..runtime.text import InputError
-from ..schema import INITIAL, CommandSection, InitialSection, WindSection
-from ..schema.parameters import inline, parameter
+from ..schema import CAMERA, INITIAL, JOINTS, CommandSection, InitialSection, WindSection
+from ..schema.parameters import inline, parameter, replace
 from ..simulation import (
     Pressures,
     Signal,
@@ -398,10 +398,16 @@ class ArmModel(AbstractModel):
         return dataclasses.replace(self, steps_for="derivatives")
 
     def variants(self) -> dict[str, Self]:
-        """With drag elsewhere, with C_D by Reynolds number or without, and floating."""
-        return {
+        """With drag elsewhere, with C_D by Reynolds number or without, floating, or lagging."""
+        others = {
             name: dataclasses.replace(self, arm=arm) for name, arm in arm_variants(self.arm).items()
         }
+        delay = self.sensors.camera.delay
+        if delay is not None and self.arm.joints.drive_lag is None:
+            # To the first order one is the other, so that no derivative tells them apart.
+            late = {CAMERA.delay.path: 0.0, JOINTS.drive_lag.path: jnp.maximum(delay, 0)}
+            others["joints.drive_lag = camera.delay, camera.delay = 0"] = replace(self, late)
+        return others
 
     def integration(self) -> Integration:
         """Its solver, and the relative and absolute tolerance."""
