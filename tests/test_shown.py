@@ -3,6 +3,7 @@
 import io
 import re
 
+import equinox as eqx
 import numpy as np
 import pytest
 import rich.console
@@ -44,6 +45,14 @@ def test_a_run_shows_its_channels_in_their_units():
     assert "run: arm run, 3 samples over 2.5 s" in printed(run)
     many = cells(run_of(40))
     assert (len(many), many[-1]) == (26, ["17 more"])
+
+
+def test_arms_without_numbers_of_one_arm_are_shown_as_python_does():
+    arm = takeichi_20m(2)
+    batch = eqx.filter_vmap(lambda length: takeichi_20m(2, mass=0.1))(np.ones(3))
+    for each in (batch, eqx.partition(arm, eqx.is_array)[1], eqx.filter_eval_shape(lambda: arm)):
+        assert "Arm(" in each._repr_html_()
+        assert "Arm(" in printed(each)
 
 
 def test_an_arm_shows_what_it_is_and_what_is_free():

@@ -92,6 +92,9 @@ def test_a_notebook_shows_a_table_in_which_nothing_is_markup(earlier):
     for cell in ("width", "1.50", "0.10", "m", "where a &lt; b &amp; c"):
         assert f"<td>{cell}</td>" in page
     assert "converged in 9 iterations" in page
+    many = {f"width{index}": odd for index in range(40)}
+    page = dataclasses.replace(earlier, parameters=many, derived={})._repr_html_()
+    assert page.count("<tr>") == 41
 
 
 def test_a_damaged_result_is_read_or_refused_in_a_sentence(tmp_path):

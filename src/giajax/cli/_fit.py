@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, Unpack, cast
 
 import typer
 
+from ..runtime.plugins import plugins
 from ..runtime.process import CORES_VARIABLE, configure, stopped_status
 from ..runtime.text import InputError, time_in_words
 from ._commands import (
@@ -363,7 +364,7 @@ def _go_on(task: "FitTask", result: "FitResult | None" = None) -> str:
     # A fit that had its iterations would end again at once.
     if result and result.status == "not_converged" and "budget_s" not in result.config:
         how += f" --max-iterations {2 * result.config['max_iterations']}"
-    return how
+    return " ".join([how, *(f"--plugin {shlex.quote(str(path))}" for path in plugins())])
 
 
 def _complain(sentence: str) -> None:

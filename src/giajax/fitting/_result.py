@@ -3,11 +3,12 @@
 import dataclasses
 import importlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 
 from ..models import AbstractModel, Channels, build_model, capabilities
@@ -100,6 +101,19 @@ class PredictedRun(dict[str, np.ndarray]):
             InputError: no channel is predicted.
         """
         return _drawn("prediction_figure", self)
+
+
+def _flattened(predicted: PredictedRun) -> tuple[list[tuple[Any, Any]], tuple[str, ...]]:
+    names = tuple(sorted(predicted))
+    return [(jax.tree_util.DictKey(name), predicted[name]) for name in names], names
+
+
+def _plain_dict(names: tuple[str, ...], values: Iterable[Any]) -> Any:
+    """What is computed from a prediction, which is that of no run."""
+    return dict(zip(names, values, strict=True))
+
+
+jax.tree_util.register_pytree_with_keys(PredictedRun, _flattened, _plain_dict)
 
 
 @program
@@ -236,6 +250,7 @@ class FitResult(ShownAsTable):
     predictions: tuple[PredictedRun, ...] = ()
     held_predictions: tuple[PredictedRun, ...] = ()
     reason: Reason = ""
+    _most_rows = None
 
     @property
     def loss(self) -> AbstractLoss:

@@ -7,7 +7,16 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ..mechanics.arm import STANDARD_GRAVITY, Air, Arm, Buoyancy, bodies, named_axes, trimmed
+from ..mechanics.arm import (
+    STANDARD_GRAVITY,
+    Air,
+    Arm,
+    Buoyancy,
+    bodies,
+    named_axes,
+    structural_points,
+    trimmed,
+)
 from ..recordings import Run
 from ..runtime.text import InputError
 from ..schema import (
@@ -137,11 +146,16 @@ def scale_conditions(
             )
         else:
             held = [path for path in SCALE if path in present and path not in fitted]
+            inside = _links_in_points(arm)
+            if len(inside) == arm.count:
+                held = [path for path in held if path not in MASSES[:3]]
             other = "stiffness, strength of muscles" if strengths else "stiffness"
             sentences.append(
                 f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
                 f"inertias, drag, {other} and damping together leaves the motion unchanged; "
                 + (f"held at {_values(model, held)}" if held else "nothing of these is held")
+                + f", with the mass of link {', '.join(map(str, inside))} in its points"
+                * bool(inside)
             )
     area = [path for path in _DRAG_AREA if path not in fitted]
     if "air.drag_coefficient" in fitted and area:
@@ -189,6 +203,16 @@ def sensor_conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[
             "that shows everything larger looks like a longer arm"
         )
     return sentences
+
+
+def _links_in_points(arm: Arm) -> list[int]:
+    """Links whose mass is in their points, and not `links.mass`."""
+    fixed = arm.point_masses
+    if fixed is None:
+        return []
+    masses = np.broadcast_to(np.asarray(fixed.mass), len(fixed.links))
+    own = structural_points(np.asarray(arm.links.mass), fixed.links, masses)
+    return sorted({link for link, is_link in zip(fixed.links, own, strict=True) if is_link})
 
 
 def _values(model: AbstractModel, paths: Sequence[str]) -> str:

@@ -21,6 +21,7 @@ from ..mechanics.arm import (
     chain,
     named_axes,
     preset,
+    structural_points,
 )
 from ..mechanics.joint import MUSCLE_LAWS as LAWS, Correction, Joint, JointPair
 from ..mechanics.obstacles import AbstractObstacle, Box, Plane, WallWithOpening
@@ -170,19 +171,25 @@ def arm_from_definition(definition: Definition) -> Arm:
             others.setdefault(path, value)
     if others:
         changes["parameters"] = others
-    if "link_inertia_kg_m2" in keys:
+    # The number of links of a section that does not state it is the length of its lists.
+    listed = next((len(value) for value in section.lists().values()), None)
+    entries = section.point_masses or []
+    stated = "link_inertia_kg_m2" in keys
+    if entries and "mass" in changes:
+        count = keys.get("links") or listed or 1
+        mass = np.broadcast_to(changes["mass"], count).copy()
+        entries, changes["mass"] = _points_beside(entries, mass, inertia_stated=stated)
+    if stated:
         changes["inertia"] = keys["link_inertia_kg_m2"]
         # A sidecar that giajax wrote has these, too.
         changes |= {"inertia_transverse": None, "inertia_axial": None}
     if "muscles" in keys:
         changes |= {"muscles": keys["muscles"], "pair": _pair(section)}
     if "point_masses" in keys:
-        changes["point_masses"] = _point_masses(section.point_masses or [])
+        changes["point_masses"] = _point_masses(entries)
     if section.obstacles:
         changes["contact"] = Contact(obstacles=tuple(map(_obstacle, section.obstacles)))
     name = keys.get("preset", DEFAULT_PRESET)
-    # The number of links of a section that does not state it is the length of its lists.
-    listed = next((len(value) for value in section.lists().values()), None)
     return preset(name, keys.get("links") or listed, **changes)
 
 
@@ -215,6 +222,30 @@ def _degrees(radians: float) -> float:
     degrees = float(np.rad2deg(radians))
     near = (round(degrees, 12), degrees, np.nextafter(degrees, 0), np.nextafter(degrees, np.inf))
     return next((float(each) for each in near if np.deg2rad(each) == radians), degrees)
+
+
+def _points_beside(
+    entries: list[PointMass], mass: np.ndarray, *, inertia_stated: bool
+) -> tuple[list[PointMass], np.ndarray]:
+    """The bodies beside the links, and the masses of these, where a section states an inertia.
+
+    A sidecar that giajax wrote has the links that are not round as points, which a stated inertia
+    replaces.
+    """
+    links = np.array([entry.link for entry in entries])
+    masses = np.array([float(entry.values()[POINT_MASSES.mass.path]) for entry in entries])
+    bare = structural_points(mass, links.tolist(), masses)
+    own = bare | np.array([bool(entry.structural) for entry in entries])
+    if inertia_stated:
+        np.add.at(mass, links[bare] - 1, masses[bare])
+        return [entry for entry, is_link in zip(entries, own, strict=True) if not is_link], mass
+    if np.any(own & ~bare):
+        raise InputError(
+            f"arm.link_mass_kg gives link {links[own & ~bare][0]} a mass, which is in its "
+            "structural point_masses already: state link_inertia_kg_m2 beside it, or remove these "
+            "points"
+        )
+    return entries, mass
 
 
 def _point_masses(entries: list[PointMass]) -> PointMasses | None:
@@ -262,7 +293,7 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     if arm.contact is not None:
         facts["obstacles"] = list(map(_entry, arm.contact.obstacles))
     if arm.point_masses is not None:
-        facts["point_masses"] = _entries(arm.point_masses)
+        facts["point_masses"] = _entries(arm.point_masses, np.asarray(arm.links.mass))
     keyed = {part.path for parts in ArmSection.quantities.values() for part in parts}
     keyed |= {part.path for part in POINT_MASSES}
     others = {}
@@ -313,7 +344,7 @@ def _plain(values: Any) -> Any:
     return float(values[0]) if np.all(values == values[0]) else values.tolist()
 
 
-def _entries(fixed: PointMasses) -> list[dict[str, Any]]:
+def _entries(fixed: PointMasses, mass: np.ndarray) -> list[dict[str, Any]]:
     def row(declaration: Declaration) -> Any:
         value = getattr(fixed, declaration.path.rpartition(".")[2])
         return np.broadcast_to(0.0 if value is None else np.asarray(value), len(fixed.links))
@@ -322,8 +353,10 @@ def _entries(fixed: PointMasses) -> list[dict[str, Any]]:
     if fixed.drag_area is None:
         # As earlier versions wrote it, so that a result of theirs is of the same configuration.
         del rows[POINT_MASSES.drag_area.path]
+    own = structural_points(mass, fixed.links, rows[POINT_MASSES.mass.path])
     return [
         {"link": link, **PointMass.keys_of({path: row[body] for path, row in rows.items()})}
+        | ({"structural": True} if own[body] else {})
         for body, link in enumerate(fixed.links)
     ]
 

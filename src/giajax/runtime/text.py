@@ -8,7 +8,7 @@ import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
     import rich.table
@@ -124,20 +124,23 @@ def shown(value: Any, longest: int = 60) -> str:
     return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
-_MOST_ROWS = 24  # more cannot be read at a glance
-
-
 class ShownAsTable:
     """What a notebook and `rich` show as a table of text; what looks like markup in it is text."""
+
+    _most_rows: ClassVar[int | None] = 24  # more cannot be read at a glance
 
     @abc.abstractmethod
     def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
         """The title, the headings, which may all be empty, and the rows."""
 
     def _few(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
-        title, headings, rows = self._table()
-        rest = len(rows) - _MOST_ROWS
-        return title, headings, [*rows[:_MOST_ROWS], *([(f"{rest} more",)] if rest > 0 else [])]
+        try:
+            title, headings, rows = self._table()
+        except Exception:
+            # A batch of arms, half of one, or one without numbers: a notebook shows it, too.
+            return type(self).__name__, ("",), [(repr(self),)]
+        rest = 0 if self._most_rows is None else len(rows) - self._most_rows
+        return title, headings, [*rows[: self._most_rows], *([(f"{rest} more",)] * (rest > 0))]
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""

@@ -230,6 +230,11 @@ class PointMass(Section):
     link: Annotated[int, Field(ge=1, le=MOST_LINKS)] = key(
         f"a whole number from 1 to {MOST_LINKS}", "link that carries it", default=...
     )
+    structural: bool | None = key(
+        "true or false",
+        "the body is part of the link itself, which link_inertia_kg_m2 replaces; giajax writes it",
+        preset=False,
+    )
 
 
 _SIX = Annotated[list[Finite], Field(min_length=6, max_length=6)]

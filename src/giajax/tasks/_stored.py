@@ -178,8 +178,8 @@ def _read_again(
         if path is None:
             files = ", ".join(map(str, data))
             raise InputError(
-                f"'{record.name}' was made in memory and has no file: use Python, whose functions "
-                "take the run itself"
+                f"'{record.name}' was made in memory and has no file: give the run itself in "
+                "Python, as in result.plot(run)"
                 if record.path is None
                 else f"{files} have not the content of {record.path}, which was fitted: give that "
                 "file"

@@ -159,11 +159,31 @@ def test_files_state_it_as_python_does():
     again = arm_from_definition(giajax.Definition.parse({"arm": arm_to_definition(arm)}))
     values = {path: giajax.get(arm, path) for path in default_free(arm)}
     assert eqx.tree_equal(giajax.replace(again, values), arm, rtol=1e-12, atol=1e-12)
+    # What giajax wrote has the links in points, which a stated inertia replaces: over it, under
+    # it, and under masses of one's own.
+    written = arm_to_definition(arm)
+    assert sum(entry.get("structural", False) for entry in written["point_masses"]) == 18
+    for merged in (section | written, written | {"link_inertia_kg_m2": tensors()}):
+        again = arm_from_definition(giajax.Definition.parse({"arm": merged}))
+        assert_allclose(bodies(again).mass, bodies(arm).mass, rtol=1e-12)
+        assert_allclose(bodies(again).uneven, bodies(arm).uneven, rtol=1e-6, atol=1e-9)
+    heavier = written | {"link_mass_kg": [0.4, 0.3, 0.2], "link_inertia_kg_m2": tensors()}
+    again = arm_from_definition(giajax.Definition.parse({"arm": heavier}))
+    assert_allclose(bodies(again).mass, bodies(arm).mass + 0.1, rtol=1e-12)
+    del heavier["link_inertia_kg_m2"]
+    with pytest.raises(giajax.InputError, match="gives link 1 a mass, which is in its structural"):
+        arm_from_definition(giajax.Definition.parse({"arm": heavier}))
     with pytest.raises(giajax.InputError, match=r"unknown key arm\.parent"):
         giajax.Definition.parse({"arm": {"preset": "chain", "parent": [0, 1, 1]}})
     short = {"preset": "chain", "links": 3, "link_inertia_kg_m2": tensors()[:2]}
     with pytest.raises(giajax.InputError, match="has 2 values, but must have one for each link"):
         giajax.Definition.parse({"arm": short})
+
+
+def test_sizes_among_the_parameters_are_sizes():
+    paths = {f"links.{name}": value for name, value in SIZES.items()}
+    options = {"joint_axes": ARM["joint_axes"], "parameters": {**KNOWN, **paths}}
+    assert eqx.tree_equal(giajax.chain(LINKS, **options), giajax.chain(LINKS, **ARM))
 
 
 def test_what_is_not_stated_is_neutral():

@@ -239,6 +239,14 @@ def mixed(position, time):
     return position - position[..., :1, :]
 
 
+def averaged(position, time):
+    return position.mean(axis=-2, keepdims=True) + 0 * position
+
+
+def outermost(position, time):
+    return position.max(axis=-2, keepdims=True) + 0 * position
+
+
 class Late(Sheared):
     def __call__(self, position, time):
         return position / (time - 60.0)
@@ -253,8 +261,11 @@ class Late(Sheared):
         (chosen, r"chosen fails \(TracerBoolConversionError"),
         (silent, r"silent fails \(ValueError\): correct it"),
         (mixed, "mixed does not give each place .* its own wind: use position"),
+        (averaged, "averaged does not give each place .* its own wind"),
+        (outermost, "outermost does not give each place .* its own wind"),
         (Late(), "Late has a value that is not finite at 60 s"),
-        (sys.intern, "the wind field is .*: give a function of position and time"),
+        (sys.intern, "the wind field is .*: give a plain def or lambda of position"),
+        (jax.jit(silent), "the wind field is .*: give a plain def or lambda of position"),
     ],
     ids=lambda value: getattr(value, "__name__", type(value).__name__),
 )

@@ -90,6 +90,7 @@ from ._parts import (
     PointMasses as PointMasses,
     named_axes as named_axes,
     six_points as six_points,
+    structural_points as structural_points,
 )
 from ._pneumatics import (
     MUSCLE_BLEND as MUSCLE_BLEND,

@@ -403,6 +403,9 @@ def chain(
     pneumatics = None if muscles is None else muscles_in(muscles, pair, joints)
     idle = idle_springs(joints, pneumatics)
     given = {"links.length": length, "links.diameter": diameter, "links.mass": mass}
+    # A size among the parameters is one as the argument is: inertias follow from it.
+    given = {path: values.pop(path, None) if one is None else one for path, one in given.items()}
+    length, diameter, mass = given.values()
     _check_stated({**values, **given}, joint_axes, idle)
     joints = dataclasses.replace(joints, **idle)
 

@@ -330,6 +330,23 @@ def six_points(
     return left, moments[:, 0], moments[:, 1], others
 
 
+def structural_points(
+    mass: np.ndarray, links: Sequence[int], masses: np.ndarray
+) -> Bool[np.ndarray, " point"]:
+    """Which point masses are links themselves, as `six_points` leaves them.
+
+    Arguments:
+        mass: of each link, kg, shape (link,).
+        links: of each point, from 1 on.
+        masses: of each point, kg, shape (point,).
+    """
+    found = np.zeros(len(links), dtype=bool)
+    for link in {link for link in links if link <= len(mass)}:
+        first = np.flatnonzero(np.asarray(links) == link)[:6]
+        found[first] = len(first) == 6 and mass[link - 1] < 10 * _BARE * np.sum(masses[first])
+    return found
+
+
 class Contact(eqx.Module):
     """Links are inextensible tubes under pressure, and flatten where they meet an obstacle.
 
