@@ -17,6 +17,7 @@ from ._ladder import LADDER
 from ._ladder_friction import LADDER_FRICTION
 from ._missions import MISSIONS
 from ._noise import NOISE
+from ._omissions import OMISSIONS
 from ._page import PAGE as PAGE, page as page
 from ._posterior import POSTERIOR
 from ._profile import PROFILE
@@ -36,6 +37,7 @@ _ALL = (
     NOISE,
     KILLS,
     SUSPECTS,
+    OMISSIONS,
     LADDER,
     LADDER_FRICTION,
     BOOTSTRAP,

@@ -1,0 +1,328 @@
+"""Omissions: how often a fit of a wrong model is called adequate, and far from the truth.
+
+Motions of an arm of 12 links are those of MuJoCo (RK4 at 10 ms), and their recordings have one
+thing that the fitted model does not: of the camera, of the drives, of the air or of the joints. Two
+sensor sets see each, 12 channels with 10 mm of white noise and 4 with 20 mm, both stated. A fit is
+*off* where one of its four parameters is more than three of its standard errors from the truth. It
+has *named* the omission where that, or what the data can hardly tell from it, is among the first
+three suspects.
+"""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ._study import Figures, Study
+
+if TYPE_CHECKING:
+    from giajax import FitResult, Run
+
+Array = np.ndarray
+
+LINKS, END, STEP, EVERY = 12, 25.0, 0.01, 0.1
+ANGLES_DEG = {1: 30.0, 4: 20.0, 7: -25.0}
+TRUTH = {
+    "air.drag_coefficient": 1.18,
+    "joints.pitch_stiffness": 2.2,
+    "joints.yaw_stiffness": 25.0,
+    "joints.damping": 0.07,
+}
+START = dict(zip(TRUTH, (0.8, 1.7, 20.0, 0.12), strict=True))
+POINTS = ("link04", "link08", "link12", "tip")
+SENSORS = {"12 of 10 mm": ("xyz", 0.01), "4 of 20 mm": ("z", 0.02)}
+OFF, FIRST = 3.0, 3
+# Of a disagreement by chance, for each of the comparisons.
+PROBABILITY = 1e-4
+
+NOTHING, MEMORY = "nothing", "nothing, and noise with a memory"
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """What a recording has that the fitted model does not.
+
+    Attributes:
+        named: suspects that are right, by the beginning of their path.
+        arm: keywords of the arm that moves.
+        parameters: of it, on top of the truth.
+        command: what the drives do of what is commanded (rad), by the times; what was commanded.
+        leak: by which share all stiffness falls over the run.
+        stamp: the true time of a time stamp, s.
+        seen: what is recorded of true positions (m), shape (sample, point, 3), by the times.
+    """
+
+    named: tuple[str, ...] = ()
+    arm: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    command: Callable[[Array, Array], Array] = lambda times, angles: angles
+    leak: float = 0.0
+    stamp: Callable[[Array], Array] = lambda times: times
+    seen: Callable[[Array, Array], Array] = lambda times, points: points
+
+
+def _lagged(times: Array, angles: Array, lag: float = 0.4) -> Array:
+    """A first-order lag of what is linear between rows, exactly at the rows."""
+    out, step = angles.copy(), times[1] - times[0]
+    fade = np.exp(-step / lag)
+    for row in range(1, len(out)):
+        slope = (angles[row] - angles[row - 1]) / step
+        out[row] = angles[row] - slope * lag + (out[row - 1] - angles[row - 1] + slope * lag) * fade
+    return out
+
+
+def _exchanged(times: Array, points: Array) -> Array:
+    """From the middle of the run on, the camera takes two markers for each other."""
+    swapped = points.copy()
+    late = times > END / 2
+    swapped[late, 1], swapped[late, 2] = points[late, 2], points[late, 1]
+    return swapped
+
+
+_SCATTER = 1 + 0.15 * np.random.default_rng(5).normal(size=LINKS)
+_TURN = np.deg2rad(2.0)
+
+CASES = {
+    NOTHING: Case(),
+    MEMORY: Case(),
+    "camera 30 ms late": Case(("camera.delay",), stamp=lambda t: t - 0.03),
+    "camera 50 ms late": Case(("camera.delay",), stamp=lambda t: t - 0.05),
+    "clock 0.5 % slow": Case(("camera.clock_rate",), stamp=lambda t: 1.005 * t),
+    "scale 1 % off": Case(("camera.scale", "links.length"), seen=lambda _, p: 1.01 * p),
+    "camera turned 2 deg": Case(
+        ("camera.rotation", "base_rotation"),
+        seen=lambda _, p: (
+            p
+            @ np.array(
+                [
+                    [np.cos(_TURN), 0, np.sin(_TURN)],
+                    [0, 1, 0],
+                    [-np.sin(_TURN), 0, np.cos(_TURN)],
+                ]
+            )
+        ),
+    ),
+    "camera 2 cm aside": Case(
+        ("camera.origin", "marker"), seen=lambda _, p: p - np.array([0.0, 0.02, 0.02])
+    ),
+    "two markers exchanged": Case(seen=_exchanged),
+    "drives with a lag of 0.4 s": Case(("joints.drive_lag",), command=_lagged),
+    "drives reach 97 %": Case(("joints.drive_gain",), command=lambda _, angles: 0.97 * angles),
+    "wind of 5 cm/s": Case(("air.wind",), parameters={"air.wind": [0.0, 0.05, 0.02]}),
+    "drag along the links": Case(("arm.drag = strip",), arm={"drag": "strip"}),
+    "friction of 0.03 N m": Case(
+        ("joints.friction", "joints.memory", "joints.stops"),
+        parameters={"joints.friction": 0.03},
+    ),
+    "gravity, trimmed but for 3 %": Case(
+        ("gravity", "buoyancy", "arm.trim"),
+        arm={"gravity": 9.81, "trim": True},
+        parameters={"buoyancy.imbalance": 0.03},
+    ),
+    "3 g more at the tip": Case(
+        ("links.mass", "point_masses", "links.inertia"),
+        arm={"tip": 0.003},
+    ),
+    "mass 10 % off": Case(("links.mass",), parameters={"links.mass": 1.1 * 0.047}),
+    "stiffness scatters by 15 %": Case(
+        parameters={
+            "joints.pitch_stiffness": 2.2 * _SCATTER[0::2],
+            "joints.yaw_stiffness": 25.0 * _SCATTER[1::2],
+        }
+    ),
+    "stiffness leaks by 30 %": Case(leak=0.3),
+}
+
+
+def run(size: int, seed: int, names: tuple[str, ...] = tuple(CASES)) -> Figures:
+    """Figures of `size` recordings of each case and sensor set, with random numbers of its own."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    figures = {}
+    for name in names:
+        fine, commanded, positions = _motion(CASES[name])
+        for index, sensors in enumerate(SENSORS):
+            entropy = [seed, list(CASES).index(name), index]
+            recorded = (
+                _recorded(name, sensors, fine, commanded, positions, [*entropy, number])
+                for number in range(size)
+            )
+            figures[f"{name}; {sensors}"] = _figures(CASES[name], size, recorded)
+    return figures
+
+
+def part(size: int, seed: int) -> Figures:
+    """Figures of a late camera alone."""
+    return run(size, seed, ("camera 30 ms late",))
+
+
+def _motion(case: Case) -> tuple[Array, Array, Array]:
+    """Fine times (s), what was commanded (rad), and positions (m), (sample, point, 3)."""
+    from giajax import takeichi_20m
+    from giajax.mechanics.arm import PointMasses
+    from giajax.simulation import ramps
+    from peers.mujoco_air import MujocoInAir
+
+    fine = np.arange(round((END + 1) / STEP) + 1) * STEP
+    commanded = np.zeros((len(fine), LINKS))
+    for joint, degrees in ANGLES_DEG.items():
+        begin = 0.5 + 3.0 * (joint - 1) / 3
+        up_and_down = [0, degrees, degrees, degrees / 3]
+        commanded[:, joint - 1] = np.interp(
+            fine, [begin, begin + 2, begin + 9, begin + 11], np.deg2rad(up_and_down)
+        )
+    keywords = dict(case.arm)
+    if (mass := keywords.pop("tip", None)) is not None:
+        place = {"position": np.array([0.99])}
+        keywords["point_masses"] = PointMasses(links=(LINKS,), mass=np.array([mass]), **place)
+    values = {**TRUTH, **case.parameters}
+    arm = takeichi_20m(LINKS, parameters=values, **keywords)
+    driven = ramps(fine, case.command(fine, commanded), tolerance=1e-12)
+    peer = MujocoInAir(arm, driven)
+    chain = peer.chain
+    chain.command = peer.command
+    if case.leak:
+        plain, stiffness = chain._passive, chain._stiffness
+
+        def leaking(model: Any, data: Any) -> None:
+            plain(model, data)
+            lost = case.leak * min(data.time / END, 1.0) * stiffness
+            data.qfrc_passive[:] += lost * (data.qpos - chain._command_now(data.time))
+
+        chain._passive = leaking  # type: ignore[method-assign]
+    centres, tips = peer.places(chain.trajectory(fine, STEP)[:, 0])
+    links = [int(point[4:]) - 1 for point in POINTS[:-1]]
+    return fine, commanded, np.concatenate([centres[:, links], tips[:, None]], axis=1)
+
+
+def _recorded(
+    name: str, sensors: str, fine: Array, commanded: Array, positions: Array, entropy: list[int]
+) -> "Run":
+    """A recording with noise of its own."""
+    from scipy.interpolate import CubicSpline
+
+    import giajax
+
+    case, (axes, noise) = CASES[name], SENSORS[sensors]
+    stamps = np.arange(round(END / EVERY) + 1) * EVERY
+    true = np.clip(case.stamp(stamps), 0.0, fine[-1])
+    points = case.seen(stamps, CubicSpline(fine, positions)(true))
+    random, values = np.random.default_rng(entropy), {}
+    for place, point in enumerate(POINTS):
+        for axis in axes:
+            fresh = noise * random.normal(size=len(stamps))
+            if name == MEMORY:
+                slow, kept = noise * random.normal(), []
+                for each in fresh:
+                    kept.append(slow := 0.9 * slow + np.sqrt(0.19) * each)
+                fresh = np.array(kept)
+            values[f"{point}_{axis}"] = points[:, place, "xyz".index(axis)] + fresh
+    rows = np.round(stamps / STEP).astype(int)
+    for joint in ANGLES_DEG:
+        values[f"joint{joint:02d}_command"] = commanded[rows, joint - 1]
+    model = {"model": "arm", "arm": {"links": LINKS}, "noise": {"position_m": noise}}
+    return giajax.Run.from_arrays(stamps, values, name="omission", definition=model)
+
+
+def _figures(case: Case, size: int, recordings: Any) -> Figures:
+    counts: Counter[str] = Counter()
+    instead: Counter[str] = Counter()
+    for recording in recordings:
+        result = _fitted(recording)
+        status = result.verdict.status
+        counts[status] += 1
+        shares = [
+            abs(result.parameters[path].value - value)
+            / (result.parameters[path].standard_error or np.inf)
+            for path, value in TRUTH.items()
+        ]
+        off = max(shares) > OFF
+        counts["off"] += off
+        counts["adequate and off"] += off and status == "adequate"
+        paths = _first(result)
+        rank = next((i for i, those in enumerate(paths, 1) if _is_named(case, those)), None)
+        counts["named"] += rank is not None
+        if status != "adequate" and rank != 1:
+            instead[paths[0][0] if paths else "nothing"] += 1
+    kinds = ("adequate", "doubtful", "inadequate", "off", "adequate and off", "named")
+    return {"recordings": size, **{k: counts[k] for k in kinds}, "instead": dict(instead)}
+
+
+def _fitted(recording: "Run") -> "FitResult":
+    """The fit, judged as `giajax fit` does."""
+    import giajax
+    from giajax.studies import with_suspects
+
+    model: Any = giajax.model_for([recording])
+    result = giajax.fit(model, recording, free=list(START), start=START, check=False)
+    adequate = result.verdict.status == "adequate"
+    try:
+        return with_suspects(result, recording, parameters_alone=adequate)
+    except giajax.InputError:
+        # A fit may end where the model cannot be evaluated with all parts on.
+        return result
+
+
+def _first(result: "FitResult") -> list[tuple[str, ...]]:
+    """The first significant suspects, each with those that are alike."""
+    from giajax.studies import LEVEL, promising
+
+    rows = [row for row in promising(result.suspects) if (row.p_value or 0.0) < LEVEL]
+    return [(row.path, *row.alike) for row in rows[:FIRST]]
+
+
+def _is_named(case: Case, paths: tuple[str, ...]) -> bool:
+    return any(path.startswith(right) for path in paths for right in case.named)
+
+
+def disagreements(stored: Figures, new: Figures) -> list[str]:
+    """What would happen by chance less often than `PROBABILITY` (Fisher's exact test)."""
+    from scipy.stats import fisher_exact
+
+    sentences = []
+    for name, after in new.items():
+        before = stored.get(name)
+        if before is None:
+            sentences.append(f"{name}: no figures of it are stored: run the study again")
+            continue
+        n, m = before["recordings"], after["recordings"]
+        for key in ("adequate", "named"):
+            a, b = before[key], after[key]
+            if fisher_exact([[a, n - a], [b, m - b]]).pvalue < PROBABILITY:
+                sentences.append(f"{name}: {key} in {b} of {m} recordings, and in {a} of {n} were")
+    return sentences
+
+
+def table(figures: Figures) -> list[str]:
+    """A row for each omission and sensor set."""
+    rows = [
+        "| omission | adequate | doubtful | off by 3 errors | adequate and off | named | "
+        "what came first instead |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, each in figures.items():
+        first = ", ".join(f"`{path}` ({count})" for path, count in each["instead"].items()) or "-"
+        cells = [each[key] for key in ("adequate", "doubtful", "off", "adequate and off", "named")]
+        shown = " | ".join(f"{cell} of {each['recordings']}" for cell in cells)
+        rows.append(f"| {name} | {shown} | {first} |")
+    return rows
+
+
+OMISSIONS = Study(
+    name="omissions",
+    meaning=(
+        "Recordings of MuJoCo's motions of an arm of 12 links, each with one thing that the fitted "
+        "model does not have: how often the verdict is `adequate`, how often a parameter is more "
+        "than three standard errors off, both at once, and how often the omission, or what the "
+        "data can hardly tell from it, is among the first three suspects."
+    ),
+    size=4,
+    seed=1,
+    run=run,
+    disagreements=disagreements,
+    table=table,
+    part=part,
+)
