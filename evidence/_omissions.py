@@ -161,6 +161,8 @@ def part(size: int, seed: int) -> Figures:
 
 def _motion(case: Case) -> tuple[Array, Array, Array]:
     """Fine times (s), what was commanded (rad), and positions (m), (sample, point, 3)."""
+    import jax.numpy as jnp
+
     from giajax import takeichi_20m
     from giajax.mechanics.arm import PointMasses
     from giajax.simulation import ramps
@@ -176,8 +178,8 @@ def _motion(case: Case) -> tuple[Array, Array, Array]:
         )
     keywords = dict(case.arm)
     if (mass := keywords.pop("tip", None)) is not None:
-        place = {"position": np.array([0.99])}
-        keywords["point_masses"] = PointMasses(links=(LINKS,), mass=np.array([mass]), **place)
+        weight, place = jnp.array([mass]), jnp.array([0.99])
+        keywords["point_masses"] = PointMasses(links=(LINKS,), mass=weight, position=place)
     values = {**TRUTH, **case.parameters}
     arm = takeichi_20m(LINKS, parameters=values, **keywords)
     driven = ramps(fine, case.command(fine, commanded), tolerance=1e-12)

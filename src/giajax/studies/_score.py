@@ -589,37 +589,53 @@ def among_memory(
     fitted, asked = len(result.free), columns[0].shape[-1]
     noise = Noise.of(runs, per_run=bool(result.config.get("noise_per_run")))
     deviations = white_noise(result, runs, at)
-    # What all runs share, what is of each run alone, and what is asked, side by side.
-    priors = [coordinates.known, *coordinates.known_of_runs]
-    ends = np.cumsum([rows.shape[1] - 1 for rows in priors]).tolist()
-    size = ends[-1] + asked
-
-    def placed(rows: Array, begin: int) -> Array:
-        return np.pad(rows, ((0, 0), (begin, size - begin - rows.shape[1])))
-
+    alone = len(runs) == 1
     cells: list[Cells] = []
     begun: dict[str, ChannelNoise] = {}
     for number, (run, response) in enumerate(zip(runs, at, strict=True)):
         common, own = coordinates.split(number, response.columns[..., :fitted], response.own)
+        # Of one run, what is its own is as shared as all else.
+        parts = [common, *([own] if alone else []), columns[number]]
+        shared, own = np.concatenate(parts, axis=-1), own[..., : 0 if alone else None]
+        rest = response.predicted - response.observed
         for place, name in enumerate(response.channels):
             kept, key = ~np.isnan(response.observed[:, place]), noise.keys[number][name]
-            several = placed(common[kept, place], 0) + placed(own[kept, place], ends[number])
-            several += placed(columns[number][kept, place], ends[-1])
-            rest = (response.predicted - response.observed)[kept, place]
-            times = None if run.times is None else run.times[kept]
-            none = np.zeros((len(rest), 0))
-            cells.append(Cells(key, number, times, np.ones(len(rest)), rest, several, none))
+            times, ones = None if run.times is None else run.times[kept], np.ones(int(np.sum(kept)))
+            by = (rest[kept, place], shared[kept, place], own[kept, place])
+            cells.append(Cells(key, number, times, ones, *by))
             begun.setdefault(key, ChannelNoise(deviations[number][name]))
-    rows = [placed(x[:, 1:], begin) for x, begin in zip(priors, [0, *ends[:-1]], strict=True)]
-    known = np.column_stack([np.concatenate(rows), np.concatenate([x[:, 0] for x in priors])])
-    prior, stated = known.T @ known, noise.stated_by_key()
+    known, of_runs = coordinates.known, list(coordinates.known_of_runs)
+    if alone:
+        (mine,) = of_runs
+        width = known.shape[1]
+        known = np.concatenate(
+            [_rows(known, width + mine.shape[1] - 1), np.insert(mine, [1] * (width - 1), 0, axis=1)]
+        )
+        of_runs = [np.zeros((0, 1))]
+
+    def squares(rows: Array) -> Array:
+        """X^T X of rows of priors, the columns first and the residual last."""
+        return np.roll(rows, -1, axis=1).T @ np.roll(rows, -1, axis=1)
+
+    prior = squares(np.column_stack([known, np.zeros((len(known), asked))]))
+    stated = noise.stated_by_key()
     found = estimate(Restricted.of(cells, begun, prior), stated, correlated=True)
-    gram = prior + np.sum([each.gram(found.noise[each.key])[0] for each in cells], axis=0)
+    gram = prior
+    for number, mine in enumerate(of_runs):
+        those = [each for each in cells if each.run == number]
+        whole = np.sum([each.gram(found.noise[each.key])[0] for each in those], axis=0)
+        width, last = mine.shape[1] - 1, whole.shape[0] - 1
+        places = [*range(width), last]
+        whole[np.ix_(places, places)] += squares(mine)
+        across = whole[:width, width:]
+        inner = np.linalg.pinv(whole[:width, :width], rcond=1e-12, hermitian=True)
+        gram = gram + whole[width:, width:] - across.T @ inner @ across
     norms = np.sqrt(np.diag(gram)[:-1])
     scale = np.outer(*[np.where(norms > 0, norms, 1.0)] * 2)
     covariance = np.linalg.pinv(gram[:-1, :-1] / scale, rcond=1e-12, hermitian=True) / scale
-    step = (covariance @ gram[:-1, -1])[-asked:]
-    spread = small_sample(found, cells, covariance, stated)
-    inner = np.linalg.pinv(spread.covariance[-asked:, -asked:], rcond=1e-10, hermitian=True)
-    freedom = float(np.min(spread.degrees_of_freedom[-asked:]))
+    step, freedom = (covariance @ gram[:-1, -1])[-asked:], np.inf
+    if alone:  # Several runs know their noise well.
+        covariance, degrees_of_freedom = small_sample(found, cells, covariance, stated)
+        freedom = float(np.min(degrees_of_freedom[-asked:]))
+    inner = np.linalg.pinv(covariance[-asked:, -asked:], rcond=1e-10, hermitian=True)
     return tail(asked, freedom, float(step @ inner @ step) / asked)
