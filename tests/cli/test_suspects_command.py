@@ -4,6 +4,7 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from giajax import load_result
@@ -129,3 +130,29 @@ def test_a_fit_states_an_uncertainty(folder, tmp_path, capsys):
     assert record["systematic"][0]["stated"]
     assert record["systematic"][0]["uncertainty"] == 1e-5
     assert record["config"]["uncertainty"] == {"muscle.diameter": 1e-5}
+
+
+def test_a_fit_whose_residuals_show_nothing_is_doubtful_by_what_it_held(folder, tmp_path, capsys):
+    wrong = ["--fix", "muscle.end_correction=1.68", "--out", str(tmp_path / "fit")]
+    run = ["fit", "--data", str(folder / "muscle.csv"), *wrong, "--no-figures", "--force"]
+    assert main([*run, "--strict"]) == 3
+    printed = capsys.readouterr()
+    assert "testing what the fit held or left out" in printed.err
+    (line,) = [line for line in printed.out.splitlines() if line.startswith("verdict ")]
+    assert "doubtful: " in line
+    assert "muscle.end_correction" in line
+    assert load_result(tmp_path / "fit").verdict.status == "doubtful"
+    # It is not tested, and says nothing of that.
+    assert main([*run, "--strict", "--no-suspects", "--quiet"]) == 0
+    assert load_result(tmp_path / "fit").verdict.status == "adequate"
+
+
+def test_a_test_that_fails_loses_no_fit(folder, tmp_path, capsys, monkeypatch):
+    def failing(*_, **__):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr("giajax.tasks._preparation.with_suspects", failing)
+    run = ["fit", "--data", str(folder / "muscle.csv"), "--out", str(tmp_path / "fit"), "--quiet"]
+    assert main([*run, "--no-figures"]) == 0
+    assert "could not be tested (SVD did not converge): giajax suspects" in capsys.readouterr().err
+    assert load_result(tmp_path / "fit").status == "converged"

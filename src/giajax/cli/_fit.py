@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, Unpack, cast
 import typer
 
 from ..runtime.plugins import plugins
-from ..runtime.process import CORES_VARIABLE, configure, stopped_status
+from ..runtime.process import CORES_VARIABLE, configure, is_stopped, stopped_status
 from ..runtime.text import InputError, time_in_words
 from ._commands import (
     Cores,
@@ -233,6 +233,7 @@ def show_diagnosis(result: "FitResult") -> None:
 
 _STATUS = {"converged": 0, "not_converged": 1}
 
+_DOUBTED = ("inadequate", "doubtful")
 _INADEQUATE = 3  # with --strict, of a fit whose model is inadequate or doubtful
 
 
@@ -324,9 +325,15 @@ def run_fit(
         if not goes_on:
             forget_starts(task.out)
     # The fit itself is on disk by now: these tests compile a program of their own.
-    if suspects and not quiet:
-        typer.echo("testing what the fit held or left out ...", err=True)
-    asked = ready.diagnosed(result, suspects=suspects)
+    untested: list[str] = []
+    asked = ready.diagnosed(
+        result,
+        suspects=suspects,
+        announce=None if quiet else partial(typer.echo, err=True),
+        complain=untested.append,
+    )
+    for sentence in untested:
+        _complain(f"{sentence}: giajax suspects {shlex.quote(str(task.out))}")
     if asked is not result:
         files = write_or_print(asked, ready.runs, task.out)
     if shown:
@@ -353,8 +360,10 @@ def run_fit(
             print(f"\n{_go_on(task, result)}")
         if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
             print(f"\n{hint}")
-    if strict and asked.verdict.status in ("inadequate", "doubtful"):
+    if strict and asked.status == "converged" and asked.verdict.status in _DOUBTED:
         return _INADEQUATE
+    if untested and is_stopped():
+        return stopped_status()
     return _STATUS.get(result.status, stopped_status())
 
 

@@ -102,8 +102,8 @@ class Reason:
             what the fit held or left out, "end" of a fit that has no optimum, "cells" of too few.
         sentence: what is seen, and where.
         p_value: chance of as much from the noise alone, corrected for how often was looked.
-        size: how many times the noise the residuals are for this reason; infinite where the model
-            cannot be evaluated.
+        size: how many times the noise the residuals are for this reason, infinite where the model
+            cannot be evaluated; of a suspect, standard errors by which it moves a parameter.
         channels: where it is seen most, by name.
     """
 

@@ -570,12 +570,16 @@ def _whitened(
     return np.concatenate(parts)
 
 
+_FEW = 60  # columns whose noise is worth Kenward and Roger's differences
+
+
 def among_memory(
     result: FitResult,
     runs: Sequence[Run],
     at: Sequence[Response],
     coordinates: Coordinates,
     columns: Sequence[Array],
+    inward: int = 0,
 ) -> float:
     """The p-value of some columns together, where noise with a memory may explain them as well.
 
@@ -585,6 +589,7 @@ def among_memory(
 
     Arguments:
         columns: of each run, shape (sample, channel, column).
+        inward: the only sign that the step of one column may have; 0 for either.
     """
     fitted, asked = len(result.free), columns[0].shape[-1]
     noise = Noise.of(runs, per_run=bool(result.config.get("noise_per_run")))
@@ -634,8 +639,12 @@ def among_memory(
     scale = np.outer(*[np.where(norms > 0, norms, 1.0)] * 2)
     covariance = np.linalg.pinv(gram[:-1, :-1] / scale, rcond=1e-12, hermitian=True) / scale
     step, freedom = (covariance @ gram[:-1, -1])[-asked:], np.inf
-    if alone:  # Several runs know their noise well.
+    if alone and len(covariance) <= _FEW:  # Several runs know their noise well.
         covariance, degrees_of_freedom = small_sample(found, cells, covariance, stated)
         freedom = float(np.min(degrees_of_freedom[-asked:]))
     inner = np.linalg.pinv(covariance[-asked:, -asked:], rcond=1e-10, hermitian=True)
-    return tail(asked, freedom, float(step @ inner @ step) / asked)
+    p_value = tail(asked, freedom, float(step @ inner @ step) / asked)
+    if not inward:
+        return p_value
+    # The residual is predicted less recorded: the best change is minus the step.
+    return p_value / 2 if -step[0] * inward > 0 else 1.0

@@ -137,10 +137,12 @@ def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
     also = (
         f" (or {', '.join(row.alike)}, which the data can hardly tell from it)" if row.alike else ""
     )
-    held = "" if row.value is None or np.ndim(row.value) else f"{row.value:.4g}{unit}, "
+    plain = isinstance(row.value, float) and row.kind != "factor"
+    held = f"held at {row.value:.4g}{unit}" if plain else "held"
+    times = "its value times " if row.kind == "factor" else ""
     free = " ".join(f"--free {each}" for each in [*result.free, row.path])
     return (
-        f"{row.path}{also} is held at {held}and the residuals ask for {shown}{unit}, which moves "
+        f"{row.path}{also} is {held}, and the residuals ask for {times}{shown}{unit}, which moves "
         f"{path} by {by:+.2g} of its standard errors: fit it, too, by {free}"
     )
 
@@ -467,11 +469,14 @@ def suspects(
 
     rows = sorted(rows, key=worth, reverse=True)
     fitted = len(result.free)
-    columns = {
-        path: [response.columns[..., [fitted + place for place in of]] for response in at]
-        for path, of in members.items()
-    }
-    columns |= {name: [each[..., None] for each in of] for name, of in switches.items()}
+    columns: dict[tuple[str, bool], tuple[list[np.ndarray], int]] = {}
+    for path, of in members.items():
+        begun = asked.candidates[of[0]]
+        inward = int(begun.value <= begun.lower) - int(begun.value >= begun.upper)
+        by_run = [response.columns[..., [fitted + place for place in of]] for response in at]
+        columns[path, False] = by_run, inward if len(of) == 1 else 0
+    for name, of_runs in switches.items():
+        columns[name, True] = [each[..., None] for each in of_runs], 1
     rows = _among_memory(rows, columns, result, runs, at, of_fit, number)
     return Suspects(
         rows=tuple(_with_moves(rows, members, result, runs, at)),
@@ -484,7 +489,7 @@ def suspects(
 
 def _among_memory(
     rows: Sequence[Suspect],
-    columns: Mapping[str, Sequence[np.ndarray]],
+    columns: Mapping[tuple[str, bool], tuple[Sequence[np.ndarray], int]],
     result: FitResult,
     runs: Sequence[Run],
     at: Sequence[Response],
@@ -494,14 +499,16 @@ def _among_memory(
     """Rows with the larger p-value where noise with a memory explains them, too.
 
     Only the promising ones that are significant are asked, of so many tests in all; where outliers
-    count less, none is.
+    count less, none is. The columns, by the path and whether it is a choice, are with the only sign
+    that a step may have, or 0.
     """
     shown = {id(row) for row in promising(rows)} if result.loss.is_linear else set()
 
     def confirmed(row: Suspect) -> Suspect:
-        if id(row) not in shown or row.path not in columns or (row.p_value or 0.0) >= LEVEL:
+        key = (row.path, row.kind == "switch")
+        if id(row) not in shown or key not in columns or (row.p_value or 0.0) >= LEVEL:
             return row
-        single = among_memory(result, runs, at, coordinates, columns[row.path])
+        single = among_memory(result, runs, at, coordinates, *columns[key])
         p_value = max(row.p_value or 0.0, min(number * single, 1.0))
         return dataclasses.replace(row, p_value=p_value)
 

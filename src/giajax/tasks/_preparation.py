@@ -165,22 +165,36 @@ class Preparation:
                 result = self.held_out.unjudged(result)
         return dataclasses.replace(result, validation=tuple(errors), task=dict(self.record))
 
-    def diagnosed(self, result: FitResult, *, suspects: bool = True) -> FitResult:
+    def diagnosed(
+        self,
+        result: FitResult,
+        *,
+        suspects: bool = True,
+        announce: Callable[[str], None] | None = None,
+        complain: Callable[[str], None] = warn,
+    ) -> FitResult:
         """The result of `run` with what is asked of a fit once it has ended.
 
         That is systematic errors, where uncertainties are stated, and suspects, which may make an
         adequate model doubtful: parameters alone, or of a fit that is not adequate choices of the
-        model, too. The same result where nothing is asked, where Ctrl-C ends it, or where the
-        model cannot be evaluated with all of its parts on.
+        model, too. It is announced where it begins. The same result where nothing is asked; and,
+        with a complaint, where Ctrl-C ends it or it fails, as where the model cannot be evaluated
+        with all of its parts on.
         """
         doubted = self.definition.fit.uncertainty
-        with contextlib.suppress(KeyboardInterrupt, InputError):
+        try:
             if result.status != "interrupted" and doubted:
                 result = with_systematic_errors(result, self.runs, doubted)
             judged = result.verdict.status != "not evaluated"
             if suspects and judged and result.status != "interrupted":
+                if announce is not None:
+                    announce("testing what the fit held or left out ...")
                 adequate = result.verdict.status == "adequate"
                 result = with_suspects(result, self.runs, parameters_alone=adequate)
+        except KeyboardInterrupt:
+            complain("interrupted before what the fit held or left out was tested")
+        except Exception as error:  # A test that fails loses no fit.
+            complain(f"what the fit held or left out could not be tested ({error})")
         return result
 
 
