@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from giajax import ArmModel, read_run, register
+from giajax import ArmModel, get, model_for, read_run, register
 from giajax.cli import main
 from giajax.cli._simulate import gusts_of
 from giajax.fitting import predict
-from giajax.mechanics.arm import AbstractWind
+from giajax.mechanics.arm import AbstractWind, bodies
 from giajax.models import arm_from_definition
-from giajax.recordings import Definition
+from giajax.recordings import Definition, describe
 from giajax.schema.parameters import replace
 
 SHORT = ["--links", "3", "--duration", "2"]
@@ -186,6 +186,30 @@ def test_a_wind_field_alone_moves_the_arm(out, tmp_path):
     )
     assert np.allclose(run.values["link03_z"], steady.values["link03_z"], atol=1e-9)
     assert run.values["link03_z"][-1] > 1e-3
+
+
+@pytest.mark.slow
+def test_what_is_written_of_an_own_arm_begins_at_that_arm(out, tmp_path, capsys):
+    """With no note of a preset that nobody named; the truth is in no start."""
+    (tmp_path / "own.toml").write_text(
+        '[arm]\npreset = "chain"\nlinks = 2\nlink_length_m = 0.5\nlink_diameter_m = 0.05\n'
+        'link_mass_kg = 0.1\njoint_axes = ["pitch", "pitch"]\n'
+        "link_inertia_kg_m2 = [2e-3, 3e-3, 4e-3, 0.0, 0.0, 0.0]\n"
+        '[arm.parameters]\n"joints.pitch_stiffness" = 2.0\n"joints.damping" = 0.05\n'
+    )
+    own = ("--arm", str(tmp_path / "own.toml"), "--set", "joints.pitch_stiffness=3")
+    run = simulate(out, "--duration", "2", *own, "--ramp", "1=10", "--channels", "link02_z")
+    model = model_for([run])
+    assert float(model.arm.joints.pitch_stiffness) == 2.0
+    assert float(get(model, "joints.damping")) == 0.05
+    assert np.allclose(bodies(model.arm).mass, 0.1)
+    (sentence,) = model.conditions(["joints.damping"], [run])
+    assert "with the mass of link 1, 2 in its points" in sentence
+    assert "links.mass" not in sentence
+    paper = simulate(tmp_path / "paper.csv", *SHORT, "--ramp", "1=10", "--channels", "link02_z")
+    assert paper.definition.arm.preset == "takeichi_20m"
+    for each in (run, paper):
+        assert not [note for note in describe(each)["notes"] if "preset" in note]
 
 
 REFUSED = {

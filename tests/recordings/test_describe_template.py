@@ -99,7 +99,9 @@ def test_a_preset_that_no_one_named_is_said():
         return [note for note in describe(run)["notes"] if "preset" in note]
 
     assert notes(preset="takeichi_20m", links=2) == []
-    assert notes(preset="chain", links=2) == []
+    (sentence,) = notes(preset="chain", links=1, link_length_m=0.5, link_diameter_m=0.1)
+    assert "no link_mass_kg, joints.pitch_stiffness, joints.damping, joint_axes, and" in sentence
+    assert "joints.* in [arm.parameters]" in sentence
     (sentence,) = notes(links=2, link_length_m=0.5, joint_axes="pitch_yaw")
     assert sentence.startswith("[arm] names no preset: the constants of the preset takeichi_20m")
     assert 'such as "chain"' in sentence
@@ -110,6 +112,7 @@ def test_a_preset_that_no_one_named_is_said():
     sizes |= {"joint_axes": ["pitch", [0.0, 1.0, 1.0]], "links": 2}
     known = joints | {"air.drag_coefficient": 1.0}
     assert notes(**sizes, gravity_m_per_s2=9.81, parameters=known) == []
+    assert notes(preset="chain", **sizes, parameters=joints) == []
 
 
 def test_lists_of_an_own_arm_say_how_many_links_it_has():

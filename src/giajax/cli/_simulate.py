@@ -257,11 +257,12 @@ def facts_of(
     definition: "Definition", replayed: "Run | None", drives: Sequence["Drive"], model: "ArmModel"
 ) -> dict[str, Any]:
     """The sections of the sidecar that say what moves the arm."""
+    from ..models import preset_of
     from ..schema import InitialSection, WindSection
 
     source = definition if replayed is None else replayed.definition
     driven = {name: drive for drive in drives for name in drive.values}
-    facts: dict[str, Any] = {"schema_version": 1}
+    facts: dict[str, Any] = {"schema_version": 1, "arm": preset_of(definition)}
     initial = definition.section(InitialSection).contents()
     commanded = [drive for name, drive in driven.items() if name.startswith("joint")]
     winds = [drive for name, drive in driven.items() if "wind_" in name]

@@ -9,6 +9,7 @@ from ._arm_conditions import SCALE as SCALE, arm_variants as arm_variants
 from ._arm_definition import (
     arm_from_definition as arm_from_definition,
     arm_to_definition as arm_to_definition,
+    preset_of as preset_of,
     sensors_from_definition as sensors_from_definition,
 )
 from ._arm_sensors import (

@@ -31,6 +31,7 @@ from ..runtime.text import InputError
 from ..schema import (
     BUOYANCY,
     DEFAULT_PRESET,
+    NO_NEUTRAL,
     POINT_MASSES,
     ArmSection,
     CamerasSection,
@@ -312,6 +313,27 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     return facts
 
 
+def preset_of(arm: Arm | Definition) -> dict[str, Any]:
+    """What makes `[arm]` of an arm, or of a file, one that a fit begins from: preset and values.
+
+    They go below `arm_to_definition`, which states constants alone. What is the paper's arm begins
+    at the values of its preset, and any other one at its own.
+    """
+    if isinstance(arm, Definition):
+        name = arm.section(ArmSection).preset or DEFAULT_PRESET
+        # All that the presets of the paper differ in are constants.
+        if name.startswith(DEFAULT_PRESET):
+            return {"preset": DEFAULT_PRESET}
+        arm = arm_from_definition(arm)
+    values = parameter_values(arm)
+    needed = [each.path for each in NO_NEUTRAL if each.path.startswith("joints.")]
+    paths = dict.fromkeys([*needed, *default_free(arm)])
+    return {
+        "preset": "chain",
+        "parameters": {path: np.asarray(values[path]).tolist() for path in paths},
+    }
+
+
 def _law_name(law: AbstractDragLaw | AbstractJointLaw | AbstractWind) -> str:
     """What files call a law that is registered, and is made from nothing but its parameters."""
     name, role = name_of(type(law)), law.registered_as
@@ -373,7 +395,10 @@ def agreed_parts(runs: Sequence[Run]) -> tuple[Arm, Sensors]:
         InputError: the sidecars disagree in [arm], [sensors], [camera] or [landmark].
     """
     first, *others = runs
-    arm = arm_from_definition(first.definition)
+    try:
+        arm = arm_from_definition(first.definition)
+    except InputError as error:
+        raise InputError(f"the arm of {first.path or first.name}: {error}") from None
     sensors = sensors_from_definition(first.definition)
     sections = [first.definition.section(of) for of in _SECTIONS]
     for other in others:

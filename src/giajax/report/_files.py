@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..fitting import Estimate, FitResult, matching_runs
-from ..models import AbstractModel, capabilities
+from ..models import AbstractModel, capabilities, preset_of
 from ..recordings import (
     Definition,
     Figure,
@@ -194,15 +194,18 @@ def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
     about = [key for key in run_keys(model=False) if key != "noise"]
     definition = result.model.definition()
     model = {key: definition[key] for key in run.kind.sections if key in definition}
-    return Definition.parse(
-        {
-            "model": run.model,
-            "origin": f"predicted by giajax from a fit to {run.name}",
-            "sha256": checksum,
-            **model,
-            **{key: sidecar[key] for key in about if key in sidecar},
-        },
-        "prediction.toml",
+    begun = {"arm": preset_of(run.definition)} if "arm" in model else {}
+    return Definition.parse(begun).merged_with(
+        Definition.parse(
+            {
+                "model": run.model,
+                "origin": f"predicted by giajax from a fit to {run.name}",
+                "sha256": checksum,
+                **model,
+                **{key: sidecar[key] for key in about if key in sidecar},
+            },
+            "prediction.toml",
+        )
     )
 
 

@@ -92,6 +92,29 @@ def from_default_preset(section: ArmSection) -> dict[str, Any]:
     return taken | ({"joint_axes": "pitch_yaw"} if section.joint_axes is None else {})
 
 
+def missing_of_chain(section: ArmSection) -> list[str]:
+    """What a section of the preset "chain" does not state of what no arm can be built without.
+
+    Which springs an arm of vectors or muscles has is known where it is built.
+    """
+    if section.preset != "chain":
+        return []
+    axes = section.joint_axes
+    words = ("pitch", "yaw")[: section.links] if axes in (None, "pitch_yaw") else axes
+    unused = {
+        f"joints.{name}_stiffness"
+        for name in ("pitch", "yaw")
+        if name not in words or section.muscles is not None
+    }
+    stated = {*section.values(), *(section.parameters or {}), *unused}
+    missing = [
+        each.path if each.key is None else each.key.name
+        for each in NO_NEUTRAL
+        if each.path not in stated
+    ]
+    return missing + ["joint_axes"] * (section.joint_axes is None)
+
+
 def preset_sentence(taken: Collection[str], where: str = "[arm] names no preset") -> str:
     """That an arm is that of the default preset in what is not stated, and how to name another."""
     what = ", ".join(taken) if len(taken) < len(NO_NEUTRAL) else "the constants"
@@ -287,6 +310,11 @@ def _notes(content: RecordedRun, sidecar: bool) -> list[str]:
         where = "no [arm] in the sidecar" if sidecar else "no sidecar"
         about = () if section.contents() else (where,)
         notes.append(preset_sentence(taken, *about))
+    if missing := missing_of_chain(section):
+        notes.append(
+            f"[arm] of the preset chain has no {', '.join(missing)}, and a fit refuses it: state "
+            "keys in [arm] and joints.* in [arm.parameters] (of these 0 is a value)"
+        )
     unknown = [each.path for each in GEOMETRY if each.path not in (section.parameters or {})]
     if section.preset == "chain" and section.muscles and unknown:
         notes.append(f"muscles as giajax assumes them for the paper's arm: {', '.join(unknown)}")

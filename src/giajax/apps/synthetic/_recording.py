@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...mechanics.arm import Arm
-from ...models import AbstractModel, Channels, capabilities
+from ...models import AbstractModel, ArmModel, Channels, capabilities, preset_of
 from ...recordings import Definition, Run
 from ...runtime.arrays import Array, Bool, Float
 from ...runtime.programs import program
@@ -366,7 +366,7 @@ def command_columns(commands: Float[np.ndarray, "row joint"]) -> dict[str, np.nd
 
 
 def driven_run(
-    model: AbstractModel,
+    model: ArmModel,
     times: Float[np.ndarray, " row"],
     values: Mapping[str, npt.ArrayLike],
     *,
@@ -375,9 +375,11 @@ def driven_run(
     origin: str = "",
 ) -> Run:
     """A run of channels (SI) between whose rows commands, and wind if there is one, are linear."""
-    facts = {**_constants(model), "command": {"interpolation": "linear"}}
+    facts: dict[str, Any] = {"arm": preset_of(model.arm), "command": {"interpolation": "linear"}}
     if any("wind" in channel for channel in values):
         facts["wind"] = {"interpolation": "linear"}
     facts |= {"noise": dict(noise)} if noise else {}
     facts |= {"origin": origin} if origin else {}
-    return Run.from_arrays(times, values, name=name, definition=Definition.parse(facts, name))
+    definition = Definition.parse(facts, name)
+    definition = definition.merged_with(Definition.parse(_constants(model), "model"))
+    return Run.from_arrays(times, values, name=name, definition=definition)

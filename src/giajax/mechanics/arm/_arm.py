@@ -501,7 +501,8 @@ def with_wind(arm: Arm, wind: str | AbstractWind | Callable[..., Any]) -> Arm:
 
     Arguments:
         wind: of positions in the base frame, m, shape (..., 3), and a time, s, the velocity of the
-            air there, m/s, of the same shape: a plain function, an instance of a class of
+            air there, m/s, of the same shape: a plain def or lambda, whose globals keep
+            their first values in a process (as in `jax.jit`), an instance of a class of
             `AbstractWind`, or the name of a registered one.
 
     Raises:
@@ -529,8 +530,9 @@ def _check_stated(values: Mapping[str, Any], axes: Any, idle: Mapping[str, float
     missing += ["joint_axes"] if axes is None else []
     if missing:
         raise InputError(
-            f"this arm has no {', '.join(missing)}: state what is missing (0 is a value), or begin "
-            "with a preset, such as takeichi_20m"
+            f"this arm has no {', '.join(missing)}: state what is missing (joints.* in "
+            "[arm.parameters] of a file; of these 0 is a value), or begin with a preset, such as "
+            "takeichi_20m"
         )
 
 
