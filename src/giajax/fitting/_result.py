@@ -337,20 +337,19 @@ class FitResult(ShownAsTable):
     @property
     def headline(self) -> str:
         """The message; before it "NOT CONVERGED", or what is wrong with the model."""
-        shouted, message = [], self.message
-        if self.status == "not_converged":
-            shouted.append("NOT CONVERGED")
+        message, reasons = self.message, self.verdict.reasons
+        if self.status != "converged":
+            # Its verdict is that of no optimum, and stands beside it.
+            return f"NOT CONVERGED: {message}" if self.status == "not_converged" else message
         if self.verdict.status == "inadequate":
-            shouted.append("INADEQUATE MODEL")
-            message = (
-                f"{self.verdict.reasons[0].sentence}; {message}; the standard errors are "
+            return (
+                f"INADEQUATE MODEL: {reasons[0].sentence}; {message}; the standard errors are "
                 "conditional on a model that does not describe the data"
             )
-        elif (first := self.verdict.reasons[:1]) and first[0].code == "suspect":
-            shouted.append("DOUBTFUL MODEL")
+        if reasons and reasons[0].code == "suspect":
             # What to do about it stands in the verdict.
-            message = f"{first[0].sentence.partition(': fit it')[0]}; {message}"
-        return f"{', '.join(shouted)}: {message}" if shouted else message
+            return f"DOUBTFUL MODEL: {reasons[0].sentence.partition(': fit it')[0]}; {message}"
+        return message
 
 
 # What of a result its file holds; the model is built from the configuration and the parameters.

@@ -304,7 +304,7 @@ def test_a_port_in_use_is_one_sentence(cockpit):
 
 @pytest.mark.slow
 def test_ctrl_c_saves_the_drive(tmp_path):
-    (tmp_path / "arm.toml").write_text("[arm]\nlinks = 3\n")
+    (tmp_path / "arm.toml").write_text('[arm]\npreset = "takeichi_20m"\nlinks = 3\n')
     running = subprocess.Popen(
         [sys.executable, "-m", "giajax", "drive", "arm.toml", "--no-browser", "--out", "run.csv"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

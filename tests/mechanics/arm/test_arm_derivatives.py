@@ -53,6 +53,7 @@ def test_no_public_function_is_left_out():
         "pose",
         "preset",
         "six_points",
+        "structural_points",
         "trimmed",
         "with_wind",
         *mechanics.PRESETS,
