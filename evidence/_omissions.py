@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ._study import Figures, Study
+from ._suspects import differing, listed
 
 if TYPE_CHECKING:
     from giajax import FitResult, Run
@@ -34,9 +35,6 @@ START = dict(zip(TRUTH, (0.8, 1.7, 20.0, 0.12), strict=True))
 POINTS = ("link04", "link08", "link12", "tip")
 SENSORS = {"12 of 10 mm": ("xyz", 0.01), "4 of 20 mm": ("z", 0.02)}
 OFF, FIRST = 3.0, 3
-# Of a disagreement by chance, for each of the comparisons.
-PROBABILITY = 1e-4
-
 NOTHING, MEMORY = "nothing", "nothing, and noise with a memory"
 
 
@@ -281,21 +279,8 @@ def _is_named(case: Case, paths: tuple[str, ...]) -> bool:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """What would happen by chance less often than `PROBABILITY` (Fisher's exact test)."""
-    from scipy.stats import fisher_exact
-
-    sentences = []
-    for name, after in new.items():
-        before = stored.get(name)
-        if before is None:
-            sentences.append(f"{name}: no figures of it are stored: run the study again")
-            continue
-        n, m = before["recordings"], after["recordings"]
-        for key in ("adequate", "named"):
-            a, b = before[key], after[key]
-            if fisher_exact([[a, n - a], [b, m - b]]).pvalue < PROBABILITY:
-                sentences.append(f"{name}: {key} in {b} of {m} recordings, and in {a} of {n} were")
-    return sentences
+    """What would happen by chance too seldom in the counts of this study."""
+    return differing(stored, new, {"adequate": "called adequate in", "named": "named in"})
 
 
 def table(figures: Figures) -> list[str]:
@@ -306,10 +291,9 @@ def table(figures: Figures) -> list[str]:
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
-        first = ", ".join(f"`{path}` ({count})" for path, count in each["instead"].items()) or "-"
         cells = [each[key] for key in ("adequate", "doubtful", "off", "adequate and off", "named")]
         shown = " | ".join(f"{cell} of {each['recordings']}" for cell in cells)
-        rows.append(f"| {name} | {shown} | {first} |")
+        rows.append(f"| {name} | {shown} | {listed(each['instead'])} |")
     return rows
 
 

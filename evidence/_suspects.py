@@ -156,9 +156,15 @@ def _recorded(
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
+    """What would happen by chance less often than `PROBABILITY` in the counts of this study."""
+    return differing(stored, new, {"found": "found in", "inadequate": "called inadequate in"})
+
+
+def differing(stored: Figures, new: Figures, counts: Mapping[str, str]) -> list[str]:
     """What would happen by chance less often than `PROBABILITY` (Fisher's exact test).
 
-    The new figures may be of some of the cases.
+    Of the counts of recordings with these keys, and what to call each. The new figures may be of
+    some of the cases.
     """
     from scipy.stats import fisher_exact
 
@@ -169,7 +175,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
             sentences.append(f"{name}: no figures of it are stored: run the study again")
             continue
         n, m = before["recordings"], after["recordings"]
-        for key, what in (("found", "found in"), ("inadequate", "called inadequate in")):
+        for key, what in counts.items():
             a, b = before[key], after[key]
             if fisher_exact([[a, n - a], [b, m - b]]).pvalue < PROBABILITY:
                 sentences.append(f"{name}: {what} {b} of {m} recordings, and {a} of {n} were")
@@ -186,12 +192,13 @@ def table(figures: Figures) -> list[str]:
         rows.append(
             f"| `{name}` | {each['inadequate']} of {each['recordings']} | "
             f"{each['found']} of {each['recordings']} | {each['first']} | "
-            f"{_listed(each['confused_with'])} |"
+            f"{listed(each['confused_with'])} |"
         )
     return rows
 
 
-def _listed(counts: Mapping[str, int]) -> str:
+def listed(counts: Mapping[str, int]) -> str:
+    """What came first instead, and how often."""
     return ", ".join(f"`{path}` ({count})" for path, count in counts.items()) or "-"
 
 
