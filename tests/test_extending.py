@@ -1,5 +1,6 @@
 """The examples of docs/extending: as scripts, and as plug-ins of the commands in new processes."""
 
+import json
 import re
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import giajax
+from giajax.cli import main
 from giajax.recordings import Definition, parse_column
 from giajax.runtime.plugins import registered
 from giajax.schema import KINDS, ChannelKind, Declaration, Group, Key, Section, with_keys
@@ -32,6 +34,16 @@ COFFEE_FILTER = [
 ]
 
 
+COMMANDS = """
+import json, sys
+from giajax.cli import main
+
+for words in json.loads(sys.argv[1]):
+    if status := main(words):
+        sys.exit(f"{words} ended with {status}")
+"""
+
+
 @pytest.mark.quick
 def test_the_page_on_a_model_of_ones_own_shows_the_example():
     block = re.search(r"```python\n(.*?)\n\nassert", PAGE, re.DOTALL)[1]
@@ -51,17 +63,17 @@ def test_each_example_is_one_file_of_at_most_60_lines_that_asserts():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RESULTS)
-def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(name, tmp_path):
+def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
+    name, tmp_path, monkeypatch, capsys
+):
     plugin, folder = EXAMPLES / f"{name}.py", RESULTS[name]
+    monkeypatch.chdir(tmp_path)
 
     def run(*words):
-        return subprocess.run(
-            [sys.executable, *map(str, words)], cwd=tmp_path, capture_output=True, text=True
-        )
+        done = subprocess.run([sys.executable, *words], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
 
-    done = run(plugin)
-    assert done.returncode == 0, done.stderr
-    command = ("-m", "giajax")
+    run(plugin)
     # The script has asked for the suspects of the law; workers import a plug-in, too.
     commands = {
         "cauchy_loss": [
@@ -71,16 +83,16 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(name,
         "coffee_filter": [*COFFEE_FILTER, ("init", "filter.csv", "--force")],
     }
     again = [("report", folder), ("fit", "--data", f"{folder}/prediction.csv", "--no-suspects")]
-    for words in commands.get(name, again):
-        done = run(*command, *words, "--plugin", plugin)
-        assert done.returncode == 0, done.stderr
-    missing = run(*command, "report", folder, "--force")
-    assert missing.returncode == 2
-    assert f"it was made with {name}.py: give --plugin {name}.py" in missing.stderr
+    words = [[*each, "--plugin", str(plugin)] for each in commands.get(name, again)]
+    # In another process than the script, all in one: it imports JAX once.
+    run("-c", COMMANDS, json.dumps(words))
+    # Without the plug-in, which this process has not imported.
+    assert main(["report", folder, "--force"]) == 2
+    assert f"it was made with {name}.py: give --plugin {name}.py" in capsys.readouterr().err
     if name == "coffee_filter":
-        missing = run(*command, "check", "filter.csv")
-        assert missing.returncode == 2
-        assert "or a registered model: correct it, give --plugin FILE.py" in missing.stderr
+        assert main(["check", "filter.csv"]) == 2
+        said = capsys.readouterr().err
+        assert "or a registered model: correct it, give --plugin FILE.py" in said
 
 
 def test_a_model_that_is_not_registered_is_refused_with_what_it_was_made_with():

@@ -47,7 +47,7 @@ def main():
     run = giajax.read_run("outliers.csv")
     for loss in ("linear", StudentT(degrees_of_freedom=4.0), CauchyLoss()):
         start = {"air.drag_coefficient": 0.7}
-        result = giajax.fit(giajax.model_for([run]), run, start=start, loss=loss)
+        result = giajax.fit(giajax.model_for([run]), run, start=start, loss=loss, check=False)
         drag = result.parameters["air.drag_coefficient"]
         if loss == "linear":
             assert abs(drag.value / TRUTH - 1) > 0.3

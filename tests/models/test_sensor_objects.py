@@ -3,11 +3,12 @@
 import dataclasses
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.test_util import check_grads
+from jax.flatten_util import ravel_pytree
 
 import giajax
 from giajax import InputError
@@ -164,23 +165,29 @@ def test_the_force_of_a_joint_is_that_of_newton_on_what_is_beyond_it():
     rng = np.random.default_rng(2)
     wind, step = jnp.asarray([1.0, -2.0, 0.5]), 1e-4
     motion = moving(arm, 0.2 * rng.normal(size=3), rng.normal(size=3), wind=constant(wind))
-    angles, rates, speeds_up = motion.angles[0], motion.rates[0], motion.accelerations[0]
+    angles, rates = motion.angles[0], motion.rates[0]
+    known = eqx.filter_jit(
+        lambda motion: (motion.accelerations, motion.forces, giajax.simulation.contacts(motion))
+    )
+    accelerations, forces, touched = known(motion)
+    speeds_up = accelerations[0]
 
+    @jax.jit
     def centres(time):
         at = angles + time * rates + time**2 / 2 * speeds_up
-        return np.asarray(giajax.mechanics.arm.pose(arm, at).mass_centre.T)
+        return giajax.mechanics.arm.pose(arm, at).mass_centre.T
 
-    second = (centres(step) - 2 * centres(0.0) + centres(-step)) / step**2
+    second = np.asarray(centres(step) - 2 * centres(0.0) + centres(-step)) / step**2
     body = giajax.mechanics.arm.bodies(arm)
     second[:, 2] += GRAVITY
     needed = np.asarray(body.mass)[:, None] * second
     needed -= np.asarray(giajax.mechanics.arm.drag_force(arm, angles, rates, wind))
     needed[:, 2] -= giajax.mechanics.arm.lift(arm)
-    pressed = np.asarray(giajax.simulation.contacts(motion).force[0, :, 0])
+    pressed = np.asarray(touched.force[0, :, 0])
     assert pressed[:, 2].max() > 1
     needed -= pressed
     expected = np.cumsum(needed[::-1], axis=0)[::-1]
-    assert np.allclose(motion.forces[0], expected, rtol=1e-5, atol=1e-5)
+    assert np.allclose(forces[0], expected, rtol=1e-5, atol=1e-5)
 
 
 def test_the_curvature_is_the_angle_over_the_mean_length_of_the_links():
@@ -198,16 +205,36 @@ SHIPPED = {
 }
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_derivatives_are_those_of_differences_at_rest_too(name):
-    @jax.jit
-    def shown(sensor, stiffness, angles, rates):
-        arm = giajax.replace(giajax.takeichi_20m(2), {"joints.pitch_stiffness": stiffness})
-        return sensor.values(moving(arm, angles, rates, command=constant(jnp.ones(2))))
+def test_derivatives_are_those_of_differences_at_rest_too():
+    """Of each sensor by its own parameters, by a spring of the arm, and by its motion."""
 
+    def shown(changes, sensors):
+        stiffness, angles, rates = changes
+        arm = giajax.replace(giajax.takeichi_20m(2), {"joints.pitch_stiffness": stiffness})
+        motion = moving(arm, angles, rates, command=constant(jnp.ones(2)))
+        return jnp.concatenate([sensor.values(motion).ravel() for sensor in sensors.values()])
+
+    flat, sensors_from = ravel_pytree(SHIPPED)
+
+    def of_vector(vector):
+        changes, own = jnp.split(vector, [5])
+        return shown((changes[0], changes[1:3], changes[3:]), sensors_from(own))
+
+    forwards = jax.jit(lambda point, change: jax.jvp(of_vector, (point,), (change,)))
+    backwards = jax.jit(lambda point, weight: jax.vjp(of_vector, point)[1](weight)[0])
     for size in (0.0, 1.0):
-        angles, rates = size * jnp.array([0.3, -0.5]), size * jnp.array([0.2, 0.7])
-        check_grads(shown, (SHIPPED[name], jnp.array(5.0), angles, rates), 1, ("fwd", "rev"))
+        point = np.concatenate([[5.0], size * np.array([0.3, -0.5, 0.2, 0.7]), flat])
+        directions = np.eye(len(point))
+        values, columns = zip(*(forwards(point, change) for change in directions), strict=True)
+        slopes = np.stack(columns, axis=1)
+        step = 1e-6
+        ahead, back = (
+            np.stack([forwards(point + sign * step * change, change)[0] for change in directions])
+            for sign in (1, -1)
+        )
+        assert np.allclose(slopes, (ahead - back).T / (2 * step), rtol=1e-5, atol=1e-5)
+        rows = np.stack([backwards(point, weight) for weight in np.eye(len(values[0]))])
+        assert np.allclose(rows, slopes, rtol=1e-9, atol=1e-9)
 
 
 def test_a_run_of_an_imu_is_read_fitted_and_stored(tmp_path):

@@ -35,6 +35,11 @@ def mission(name="naraha", **changes):
     return Mission.from_definition(Definition.parse(data))
 
 
+def blind():
+    """A mission that nobody sees anything of: one program for the tests that need no more."""
+    return mission(camera__tip__size_px=[1, 1], mission__limit_s=60.0)
+
+
 @pytest.fixture(scope="module")
 def flown():
     return mission().fly(1)
@@ -71,12 +76,12 @@ def test_the_run_of_a_mission_is_its_motion(flown):
 @pytest.mark.slow
 def test_nobody_tells_the_operator(flown):
     """Without pictures the commands are those of the approach, whatever blows and bends."""
-    blind = mission(camera__tip__size_px=[1, 1], mission__limit_s=60.0)
-    soft = blind.with_model(replace(blind.model, {"joints.pitch_stiffness": 2.0}))
-    one, other = blind.fly(1), soft.in_wind(0.3).fly(2, drawn=blind)
+    planned = blind()
+    soft = planned.with_model(replace(planned.model, {"joints.pitch_stiffness": 2.0}))
+    one, other = planned.fly(1), soft.in_wind(0.3).fly(2, drawn=planned)
     assert not np.allclose(one.tip, other.tip, atol=0.5)
     assert_allclose(one.command, other.command, atol=1e-12)
-    assert_allclose(one.command[-1], blind.operator.approach, atol=1e-9)
+    assert_allclose(one.command[-1], planned.operator.approach, atol=1e-9)
     assert one.reason == other.reason == "the opening never came into view"
     assert one.reached is None
     # What is later than the picture cannot be known: until it is in view, all are alike.
@@ -88,11 +93,11 @@ def test_nobody_tells_the_operator(flown):
 @pytest.mark.long
 def test_twelve_minutes_take_three_seconds():
     """In free air, all of them: an operator who sees nothing never ends."""
-    blind = mission(camera__tip__size_px=[1, 1])
+    whole = mission(camera__tip__size_px=[1, 1])
     took = []
     for _ in range(4):
         began = time.perf_counter()
-        outcome = blind.fly(1)
+        outcome = whole.fly(1)
         took.append(time.perf_counter() - began)
     assert outcome.times[-1] == pytest.approx(720.0)
     print(f"720 s in {min(took[1:]):.2f} s")
@@ -101,8 +106,7 @@ def test_twelve_minutes_take_three_seconds():
 
 @pytest.mark.slow
 def test_cases_are_drawn_alike_at_each_speed_of_the_air():
-    short = mission(mission__limit_s=5.0)
-    told = []
+    short, told = blind(), []
     found = fly_cases(short, [0.0, 0.2], 2, seed=4, on_case=lambda *done: told.append(done))
     assert [(case.wind, case.seed) for case in found.cases] == [
         (0.0, 4), (0.0, 5), (0.2, 4), (0.2, 5),

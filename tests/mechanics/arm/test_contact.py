@@ -52,7 +52,8 @@ def pressed_states(count, links=LINKS):
     return found[:count], rates, strain
 
 
-# One program of each for the tests of states, with its derivative along a direction.
+# One program of each for the tests of states, with its derivative along a direction. Rows go one
+# after the other: a batch would have to be traced, too.
 @jax.jit
 def touch_along(arm, state, direction):
     """What touches in rows of angles, rates and stretch, and how its torque changes."""
@@ -61,15 +62,18 @@ def touch_along(arm, state, direction):
         met, change = jax.jvp(lambda *x: touch(arm, *x), state, direction)
         return met, change.torque
 
-    return jax.vmap(one)(state, direction)
+    return jax.lax.map(lambda row: one(*row), (state, direction))
 
 
 @jax.jit
 def energy_along(arm, angles, direction):
     """The energy in rows of angles, and how it changes."""
-    return jax.vmap(lambda q, v: jax.jvp(lambda q: contact_energy(arm, q), (q,), (v,)))(
-        angles, direction
-    )
+
+    def one(row):
+        q, v = row
+        return jax.jvp(lambda q: contact_energy(arm, q), (q,), (v,))
+
+    return jax.lax.map(one, (angles, direction))
 
 
 @pytest.mark.parametrize("factor", [np.pi, 4 * np.pi / 3])
@@ -144,7 +148,7 @@ def test_force_is_the_derivative_of_the_energy_and_has_its_own():
         torque, pull = jax.vjp(lambda *x: touch(arm, *x).torque, *x)
         return torque, pull(weights)
 
-    torque, by = jax.jit(jax.vmap(pulled))(here)
+    torque, by = jax.jit(lambda here: jax.lax.map(pulled, here))(here)
     assert_allclose(torque, touch_along(arm, here, here)[0].torque, rtol=1e-10, atol=1e-12)
     reverse = sum(np.sum(a * b, axis=tuple(range(1, a.ndim))) for a, b in zip(by, d, strict=True))
     assert_allclose(np.asarray(forward) @ weights, reverse, rtol=1e-8)
@@ -164,9 +168,16 @@ def test_derivatives_by_pressure_and_by_where_the_wall_stands():
         return jnp.sum(touch(moved, q, jnp.zeros(links)).torque * jnp.arange(1.0, 1 + links))
 
     @jax.jit
-    @functools.partial(jax.value_and_grad, argnums=(0, 1, 2))
-    def total(pressure, height, bend):
-        return jnp.sum(jax.vmap(lambda q, v: of(pressure, height, q + bend * v))(angles, way))
+    def total(*at):
+        def one(row):
+            q, v = row
+
+            def bent(pressure, height, bend):
+                return of(pressure, height, q + bend * v)
+
+            return jax.value_and_grad(bent, (0, 1, 2))(*at)
+
+        return jax.tree.map(jnp.sum, jax.lax.map(one, (angles, way)))
 
     at = (jnp.asarray(1000.0), jnp.asarray(0.0), jnp.asarray(0.0))
     value, slopes = total(*at)

@@ -97,16 +97,29 @@ def long_arm():
     about = full_arm(100), {name: 0.3 * value for name, value in states(100).items()}
     steps = np.array([1e-3, 1e-3, 1e-4, 1e-6])
     rows = np.concatenate([AT + np.diag(steps), AT - np.diag(steps)])
-    found = jax.jit(jax.vmap(accelerations, (0, None, None)))(rows, *about)
-    ahead, back = np.split(np.asarray(found), 2)
+    found = jax.jit(accelerations)
+    ahead, back = np.split(np.stack([found(row, *about) for row in rows]), 2)
     return *about, (ahead - back).T / (2 * steps)
 
 
-@pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev])
-def test_derivatives_of_a_long_arm_are_its_differences(transform):
+@jax.jit
+def forwards(change, arm, state):
+    return jax.jvp(lambda values: accelerations(values, arm, state), (AT,), (change,))[1]
+
+
+@jax.jit
+def backwards(weights, arm, state):
+    return jax.vjp(lambda values: accelerations(values, arm, state), AT)[1](weights)[0]
+
+
+@pytest.mark.parametrize("mode", ["forwards", "backwards"])
+def test_derivatives_of_a_long_arm_are_its_differences(mode):
     """Of three pieces."""
     *about, differences = long_arm()
-    slopes = np.asarray(jax.jit(transform(accelerations))(AT, *about))
+    if mode == "forwards":
+        slopes = np.stack([forwards(change, *about) for change in np.eye(4)], axis=1)
+    else:
+        slopes = np.stack([backwards(weights, *about) for weights in np.eye(100)])
     sizes = np.abs(slopes).max(axis=0)
     assert np.all(sizes > 0)
     assert_allclose(slopes / sizes, differences / sizes, rtol=0, atol=1e-5)

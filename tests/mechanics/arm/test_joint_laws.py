@@ -217,7 +217,6 @@ def test_a_motion_by_parameters_of_a_law_has_their_derivatives():
     arm = takeichi_20m(2, joint_laws=["Creep", "hardening"])
     command = giajax.joint_ramps(2, {1: 0.5, 2: -0.3}, duration=0.2)
 
-    @jax.jit
     def end(values):
         own = replace(arm, dict(zip(paths, values, strict=True)))
         motion = giajax.simulate(
@@ -227,9 +226,15 @@ def test_a_motion_by_parameters_of_a_law_has_their_derivatives():
 
     paths = ["joints.laws.Creep.modulus", "joints.laws.Creep.time", "joints.laws.hardening.cubic"]
     at = jnp.asarray([2.0, 0.3, 1.0])
-    slopes = jax.jacfwd(end)(at)
-    steps = 1e-5 * jnp.eye(3)
-    found = jnp.stack([(end(at + step) - end(at - step)) / 2e-5 for step in steps], axis=1)
+    # One program for the values, too.
+    along = jax.jit(lambda values, change: jax.jvp(end, (values,), (change,)))
+    directions = jnp.eye(3)
+    slopes = jnp.stack([along(at, change)[1] for change in directions], axis=1)
+    ahead, back = (
+        jnp.stack([along(at + sign * 1e-5 * change, change)[0] for change in directions], axis=1)
+        for sign in (1, -1)
+    )
+    found = (ahead - back) / 2e-5
     assert_allclose(slopes, found, atol=1e-5 * float(jnp.max(jnp.abs(found))))
     assert np.all(np.max(np.abs(found), axis=0) > 1e-4)
 
@@ -256,7 +261,7 @@ def test_steps_for_derivatives_are_those_of_the_stiffness_that_springs_come_to()
                 atol=1e-5,
             ).angles
 
-        return jax.jit(jax.jacfwd(moved))(0.0)
+        return jax.jit(lambda rate: jax.jvp(moved, (rate,), (jnp.ones_like(rate),)))(0.0)[1]
 
     found = slope(laws, straight, 2 * 0.5 + 8192 * 0.5**3)
     assert_allclose(found, slope(takeichi_20m(2, parameters=linear), start[0], 0.0), atol=1e-5)
