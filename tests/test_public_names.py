@@ -11,7 +11,6 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 from types import ModuleType
-from typing import Unpack, get_origin
 
 import pytest
 
@@ -58,16 +57,25 @@ def test_every_model_and_what_users_reach_for_is_there():
 
 @pytest.mark.quick
 def test_signatures_are_complete():
-    """What any number of arguments may be is typed; presets pass theirs on to `chain`."""
+    """Each keyword is there with its default; presets pass theirs on to `chain`."""
     things = {name: getattr(giajax, name) for name in listed()}
     vague = {
         name
         for name, thing in things.items()
         if callable(thing) and not isinstance(thing, type)
         for each in inspect.signature(thing).parameters.values()
-        if each.kind == each.VAR_KEYWORD and get_origin(each.annotation) is not Unpack
+        if each.kind == each.VAR_KEYWORD
     }
     assert vague == {"pendulum", "preset", "takeichi_20m", "takeichi_20m_full"}
+    shown = {
+        name: (each.kind.name, each.default)
+        for name, each in inspect.signature(giajax.multi_start).parameters.items()
+    }
+    stated = giajax.FitSettings()
+    for name in ("free", "loss", "max_iterations", "spread"):
+        assert shown[name] == ("KEYWORD_ONLY", getattr(stated, name))
+    assert shown["max_iterations"][1] == 50
+    assert "spread" not in inspect.signature(giajax.fit).parameters
 
 
 @pytest.mark.quick

@@ -14,10 +14,10 @@ import numpy as np
 
 from ..models import AbstractModel, capabilities
 from ..noise import ChannelNoise, gains
-from ..recordings import FitKeywords, FitSettings, Run, fit_settings
+from ..recordings import FIT_DEFAULTS, FitKeywords, FitSettings, Run, fit_settings
 from ..runtime.plugins import sources_of
 from ..runtime.records import finite_or_none
-from ..runtime.text import InputError
+from ..runtime.text import InputError, keywords_listed
 from ._checks import Checks, checks
 from ._configuration import Setup, set_up
 from ._derived import derived_estimates, with_tied
@@ -185,6 +185,7 @@ def _versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
 
 
+@keywords_listed(FIT_DEFAULTS)
 def fit(
     model: AbstractModel,
     runs: Run | Sequence[Run],

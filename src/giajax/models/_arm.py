@@ -6,13 +6,14 @@ from typing import Any, ClassVar, Self
 
 import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
 from ..mechanics.arm import Arm
-from ..recordings import Definition, Run
-from ..runtime.arrays import Array, Bool, Float, Scalar, on_device
+from ..recordings import Channel, Definition, Run
+from ..runtime.arrays import Array, Float, Scalar, on_device
 from ..runtime.programs import program
 from ..runtime.solvers import as_text, from_text
 from ..runtime.text import InputError
@@ -54,12 +55,10 @@ from ._arm_sensors import (
     Encoder,
     Sensors,
     behind_conditions,
-    cameras_of,
     check_sensor,
     own_sensors,
     recorded_channels,
-    seen_by_cameras,
-    unseen,
+    unseen_channels,
 )
 from ._protocol import AbstractModel, Prediction, Scene
 from ._scenes import arm_scene
@@ -330,7 +329,7 @@ class ArmModel(AbstractModel):
 
     def prepare(self, run: Run) -> ArmInputs:
         """Sample times, command, wind and initial state of an arm run."""
-        cameras_of(self.sensors, run.observations)
+        self.sensors.pictures(run.channels[name] for name in run.observations)
         for each in self.sensors.sensor.values():
             # Those of giajax are tried in its tests.
             if not type(each).__module__.startswith("giajax."):
@@ -364,7 +363,6 @@ class ArmModel(AbstractModel):
     def predict(self, inputs: ArmInputs, channels: tuple[str, ...]) -> Prediction:
         """Predicted channels (SI) as the sensors show them, each (sample,)."""
         return recorded_channels(
-            self.arm,
             self.sensors,
             lambda times, end: self._motion(inputs, times, end),
             inputs.times,
@@ -380,11 +378,9 @@ class ArmModel(AbstractModel):
     def _unseen(
         self, inputs: ArmInputs, channels: Sequence[str]
     ) -> dict[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]:
-        cameras = cameras_of(self.sensors, channels)
-        if not cameras:
-            return {}
-        angles, _ = _camera_angles(self, inputs, cameras)
-        return unseen(self.arm, self.sensors, angles, channels)
+        pixels = tuple(name for name in channels if Channel.named(name).quantity == "pixel")
+        found: dict[str, Any] = _unseen(self, inputs, pixels) if pixels else {}
+        return jax.tree.map(np.asarray, found)
 
     def refined(self, factor: float) -> Self:
         """The same model with the integrator's tolerances multiplied by a factor."""
@@ -460,11 +456,9 @@ class ArmModel(AbstractModel):
 
 
 @program
-def _camera_angles(
-    model: ArmModel, inputs: ArmInputs, cameras: tuple[str, ...]
-) -> tuple[dict[str, Array], Bool[Array, ""]]:
-    return seen_by_cameras(
-        model.sensors, lambda times, end: model._motion(inputs, times, end), inputs.times, cameras
+def _unseen(model: ArmModel, inputs: ArmInputs, channels: tuple[str, ...]) -> dict[str, Any]:
+    return unseen_channels(
+        model.sensors, lambda times, end: model._motion(inputs, times, end), inputs.times, channels
     )
 
 

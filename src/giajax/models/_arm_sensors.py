@@ -252,6 +252,52 @@ def _one(leaf: Any) -> Any:
     return jnp.ones_like(leaf) if eqx.is_inexact_array(leaf) else None
 
 
+class Picture(AbstractSensor):
+    """What a camera shows of chosen points: pixels, with both coordinates of all points at once.
+
+    Attributes:
+        camera, marker, landmark: by which points appear: those of `Sensors`.
+        delay, clock_rate: of its clock.
+        points: rows of the column table, with the number of the link or landmark, or 0.
+    """
+
+    camera: Pinhole
+    marker: Marker
+    landmark: dict[str, Landmark]
+    delay: Scalar | None
+    clock_rate: Scalar | None
+    points: tuple[tuple[str, int], ...] = eqx.field(static=True)
+
+    def values(self, motion: Trajectory) -> Float[Array, "sample point 2"]:
+        """Pixels of the points."""
+        return self.projected(motion).pixels
+
+    def projected(self, motion: Trajectory) -> Projection:
+        """Pixels and depths (m) of the points at the samples of a motion."""
+        arm = motion.arm
+
+        def at(row: Float[Array, " joint"]) -> Projection:
+            linked = any(kind == "link_pixel" for kind, _ in self.points)
+            links = self.marker.on_links(arm, row) if linked else None
+            points = []
+            for kind, index in self.points:
+                if kind == "mark_pixel":
+                    points.append(self.landmark[f"mark{index:02d}"].position)
+                elif kind == "tip_pixel":
+                    points.append(self.marker.at_tip(arm, row))
+                else:
+                    assert links is not None
+                    points.append(links[index - 1])
+            return self.camera.project(jnp.stack(points), arm, row)
+
+        seen: Projection = jax.vmap(at)(motion.angles)
+        return seen
+
+    def place(self, channel: Channel) -> int:
+        """Which of its points a channel is of."""
+        return self.points.index((channel.kind, channel.index or 0))
+
+
 class Sensors(eqx.Module):
     """All that stands between the motion of an arm and its recording."""
 
@@ -295,6 +341,31 @@ class Sensors(eqx.Module):
         own = {kind: self.of_row(kind) for kind in sorted(kinds)}
         known |= {kind: (of.values, of) for kind, of in own.items() if of is not None}
         return {kind: known[kind] for kind in own if kind in known}
+
+    def pictures(self, channels: Iterable[Channel]) -> dict[str, Picture]:
+        """What each camera shows of channels that are of a picture, by its name.
+
+        Raises:
+            InputError: as `camera_of`.
+        """
+        shown: dict[str, set[tuple[str, int]]] = {}
+        for channel in channels:
+            if channel.quantity == "pixel":
+                points = shown.setdefault(camera_of(self, channel), set())
+                points.add((channel.kind, channel.index or 0))
+        rate = self.camera.clock_rate
+        return {
+            name: Picture(
+                self.camera.pinholes[name],
+                self.marker,
+                self.landmark,
+                clock_of(self, name),
+                rate,
+                # In an order of their own: both coordinates of a point are computed together.
+                tuple(sorted(points)),
+            )
+            for name, points in shown.items()
+        }
 
     def without_clocks(self) -> "Sensors":
         """The same camera, markers and angle sensors, with clocks that are right."""
@@ -360,17 +431,6 @@ def camera_of(sensors: Sensors, channel: Channel) -> str:
     return name or next(iter(cameras))
 
 
-def cameras_of(sensors: Sensors, channels: Iterable[str]) -> tuple[str, ...]:
-    """The names of the cameras that show some channels, each once.
-
-    Raises:
-        InputError: as `camera_of`.
-    """
-    known = [Channel.named(name) for name in channels]
-    seen = [camera_of(sensors, channel) for channel in known if channel.quantity == "pixel"]
-    return tuple(dict.fromkeys(seen))
-
-
 def mark_of(channel: Channel) -> str:
     """The name of the landmark that a channel shows."""
     return f"mark{channel.index or 0:02d}"
@@ -381,80 +441,6 @@ def clock_of(sensors: Sensors, name: str) -> Float[Array, ""] | None:
     delays = [sensors.camera.delay, sensors.camera.pinholes[name].delay]
     late = [delay for delay in delays if delay is not None]
     return sum(late[1:], late[0]) if late else None
-
-
-def projections(
-    arm: Arm,
-    sensors: Sensors,
-    name: str,
-    angles: Float[Array, "sample joint"],
-    channels: Iterable[Channel],
-) -> dict[tuple[str, int], Projection]:
-    """Where a camera shows what some of its channels are of.
-
-    The joint angles (rad) are those at the samples of this camera's clock. By row of the column
-    table and number: pixels (sample, 2) and depths (sample,).
-    """
-    camera: Pinhole = sensors.camera.pinholes[name]
-    # In an order of their own: both coordinates of a point are computed together.
-    asked = sorted({(channel.kind, channel.index or 0) for channel in channels})
-    kinds = {kind for kind, _ in asked}
-
-    def at(row: Float[Array, " joint"]) -> Projection:
-        links = sensors.marker.on_links(arm, row) if "link_pixel" in kinds else None
-        points = []
-        for kind, index in asked:
-            if kind == "mark_pixel":
-                points.append(sensors.landmark[f"mark{index:02d}"].position)
-            elif kind == "tip_pixel":
-                points.append(sensors.marker.at_tip(arm, row))
-            else:
-                assert links is not None
-                points.append(links[index - 1])
-        return camera.project(jnp.stack(points), arm, row)
-
-    seen = jax.vmap(at)(angles)
-    return {
-        point: Projection(seen.pixels[:, place], seen.depth[:, place])
-        for place, point in enumerate(asked)
-    }
-
-
-@program
-def _unseen(
-    arm: Arm, sensors: Sensors, name: str, angles: Array, asked: tuple[str, ...]
-) -> dict[str, tuple[Array, Array]]:
-    """Of each channel of a camera, where its point is behind it, and where out of the picture."""
-    channels = [Channel.named(each) for each in asked]
-    seen = projections(arm, sensors, name, angles, channels)
-    camera = sensors.camera.pinholes[name]
-    return {
-        channel.name: (one.depth <= NEAR, ~camera.sees(one))
-        for channel in channels
-        for one in (seen[channel.kind, channel.index or 0],)
-    }
-
-
-def unseen(
-    arm: Arm, sensors: Sensors, angles: Mapping[str, Array], channels: Iterable[str]
-) -> dict[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]:
-    """Where cameras cannot see what channels are of; those that are of no picture are left out.
-
-    The joint angles (rad) are by camera, at the samples of its clock. By channel: at which samples
-    the point is behind the camera, and at which it is not in the picture.
-    """
-    by_camera: dict[str, list[str]] = {}
-    for name in channels:
-        channel = Channel.named(name)
-        if channel.quantity == "pixel":
-            by_camera.setdefault(camera_of(sensors, channel), []).append(name)
-    return {
-        channel: (np.asarray(behind), np.asarray(outside))
-        for name, asked in by_camera.items()
-        for channel, (behind, outside) in _unseen(
-            arm, sensors, name, angles[name], tuple(asked)
-        ).items()
-    }
 
 
 def behind_conditions(
@@ -526,30 +512,25 @@ def _seen_by_clocks(
 
 
 def recorded_channels(
-    arm: Arm, sensors: Sensors, motion: Motion, times: Times, channels: tuple[str, ...]
+    sensors: Sensors, motion: Motion, times: Times, channels: tuple[str, ...]
 ) -> Prediction:
     """Channels (SI, px) as the sensors show them, and whether the simulation succeeded.
 
     Times of the samples are in s; names of channels are without unit.
     """
     known = [Channel.named(name) for name in channels]
-    kinds = {channel.kind for channel in known}
-    shown = {
-        channel.name: camera_of(sensors, channel)
-        for channel in known
-        if channel.quantity == "pixel"
-    }
-    seen, successful = _seen(sensors, motion, times, kinds, tuple(dict.fromkeys(shown.values())))
+    pictures = sensors.pictures(known)
+    # A camera may be called as a row is.
+    shown = sensors.rows({channel.kind for channel in known})
+    shown |= {f"camera.{name}": (each.values, each) for name, each in pictures.items()}
+    seen, successful = _seen(motion, times, {name: clock for name, (_, clock) in shown.items()})
     # All columns of a row at once, and none of a row that no channel asks for.
-    tables = {kind: values(seen[kind]) for kind, (values, _) in sensors.rows(kinds).items()}
-    pictures = {}
-    for name in dict.fromkeys(shown.values()):
-        of = [channel for channel in known if shown.get(channel.name) == name]
-        pictures[name] = projections(arm, sensors, name, seen[f"camera.{name}"].angles, of)
+    tables = {name: values(seen[name]) for name, (values, _) in shown.items()}
     predicted = {}
     for channel in known:
-        if channel.name in shown:
-            column = pictures[shown[channel.name]][channel.kind, channel.index or 0].pixels
+        if channel.quantity == "pixel":
+            name = camera_of(sensors, channel)
+            column = tables[f"camera.{name}"][:, pictures[name].place(channel)]
         else:
             table = tables[channel.kind]
             column = table if channel.index is None else table[:, channel.index - 1]
@@ -559,25 +540,40 @@ def recorded_channels(
     return predicted, successful
 
 
-def seen_by_cameras(
-    sensors: Sensors, motion: Motion, times: Times, cameras: tuple[str, ...]
-) -> tuple[dict[str, Float[Array, "sample joint"]], Bool[Array, ""]]:
-    """Joint angles (rad) at the samples of each camera's clock, and whether there is a motion."""
-    seen, successful = _seen(sensors, motion, times, set(), cameras)
-    return {name: seen[f"camera.{name}"].angles for name in cameras}, successful
+def unseen_channels(
+    sensors: Sensors, motion: Motion, times: Times, channels: tuple[str, ...]
+) -> dict[str, tuple[Bool[Array, " sample"], Bool[Array, " sample"]]]:
+    """At which samples what a channel is of is behind its camera, and at which out of its picture.
+
+    Channels that are of no picture are left out.
+    """
+    known = [Channel.named(name) for name in channels]
+    pictures = sensors.pictures(known)
+    seen, _ = _seen(motion, times, pictures)
+    found = {name: picture.projected(seen[name]) for name, picture in pictures.items()}
+    places = {
+        channel.name: (camera, pictures[camera].place(channel))
+        for channel in known
+        if channel.quantity == "pixel"
+        for camera in (camera_of(sensors, channel),)
+    }
+    return {
+        name: (
+            found[camera].depth[:, place] <= NEAR,
+            ~pictures[camera].camera.sees(found[camera])[:, place],
+        )
+        for name, (camera, place) in places.items()
+    }
 
 
 def _seen(
-    sensors: Sensors, motion: Motion, times: Times, kinds: set[str], cameras: tuple[str, ...]
+    motion: Motion, times: Times, shows: Mapping[str, Any]
 ) -> tuple[dict[str, Trajectory], Bool[Array, ""]]:
     """What each sensor sees, by name; a clock that no channel needs costs nothing."""
     clocks: dict[str, Clock] = {
-        kind: (getattr(shows, "delay", None), getattr(shows, "clock_rate", None))
-        for kind, (_, shows) in sensors.rows(kinds).items()
+        name: (getattr(each, "delay", None), getattr(each, "clock_rate", None))
+        for name, each in shows.items()
     }
-    # A camera may be called as a row is.
-    rate = sensors.camera.clock_rate
-    clocks |= {f"camera.{name}": (clock_of(sensors, name), rate) for name in cameras}
     # Sensors that share a clock see the same.
     known = {tuple(map(id, clock)): clock for clock in clocks.values()}
     if all(part is None for clock in known.values() for part in clock):

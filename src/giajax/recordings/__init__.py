@@ -16,6 +16,7 @@ from ._definition import (
 )
 from ._describe import describe as describe
 from ._fit_sections import (
+    FIT_DEFAULTS as FIT_DEFAULTS,
     Figure as Figure,
     FitKeywords as FitKeywords,
     FitSettings as FitSettings,

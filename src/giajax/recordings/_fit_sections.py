@@ -364,6 +364,12 @@ class FitSettings(Section):
         return ties
 
 
+FIT_DEFAULTS = {
+    name: field.get_default(call_default_factory=True)
+    for name, field in FitSettings.model_fields.items()
+}
+
+
 class FitKeywords(TypedDict, total=False):
     """Settings of a fit of given runs as keywords: arrays and `Prior` where a file has numbers.
 

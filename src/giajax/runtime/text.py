@@ -3,15 +3,18 @@
 import abc
 import contextlib
 import html
+import inspect
 import math
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 
 if TYPE_CHECKING:
     import rich.table
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 _DIGITS = 6  # digits of a value that has no standard error to say how many it deserves
 _LEAST_FIXED = 1e-4  # below this a number is written with an exponent: nobody counts five zeros
@@ -211,3 +214,25 @@ def tried(what: str) -> Iterator[None]:
 
 
 __version__ = version("giajax")
+
+
+def keywords_listed(defaults: Mapping[str, Any] | None = None) -> Callable[[Function], Function]:
+    """Have the signature of a function list each keyword of its `Unpack`, by default as here."""
+
+    def listed(function: Function) -> Function:
+        signature = inspect.signature(function)
+        *stated, rest = signature.parameters.values()
+        (keywords,) = get_args(rest.annotation)
+        stated += [
+            rest.replace(
+                name=name,
+                kind=rest.KEYWORD_ONLY,
+                default=(defaults or {}).get(name),
+                annotation=annotation,
+            )
+            for name, annotation in keywords.__annotations__.items()
+        ]
+        function.__signature__ = signature.replace(parameters=stated)  # type: ignore[attr-defined]
+        return function
+
+    return listed

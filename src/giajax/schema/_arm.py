@@ -318,7 +318,8 @@ def _notes(content: RecordedRun, sidecar: bool) -> list[str]:
     unknown = [each.path for each in GEOMETRY if each.path not in (section.parameters or {})]
     if section.preset == "chain" and section.muscles and unknown:
         notes.append(f"muscles as giajax assumes them for the paper's arm: {', '.join(unknown)}")
-    if rows & set(PRESSURES) and section.muscles is None:
+    own = set(section.joint_laws or ()) - {"hardening", "end_stops"}
+    if rows & set(PRESSURES) and section.muscles is None and not own:
         notes.append(
             "pressures are recorded, but no joint has muscles: state muscles in [arm], such as "
             'muscles = "pitch"'

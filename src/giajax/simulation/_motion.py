@@ -1,6 +1,8 @@
 """The equation of motion as integrators see it, and the part of it that makes it stiff."""
 
 import dataclasses
+import functools
+import operator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,13 +13,11 @@ from ..mechanics.arm import (
     Arm,
     JointLaws,
     JointState,
-    Pneumatics,
     Spring,
     Stiffness,
     bodies,
     contact_stiffness,
     forward_dynamics,
-    joint_torque,
     lift,
     mass_matrix,
     touch,
@@ -72,15 +72,12 @@ def fastest_rate(
     laws = arm.joint_laws
     at = laws.at(angles, jnp.zeros_like(angles), angles if command is None else command)
     stiffest, (_, damping) = laws.stiffest(at), laws.slopes(at)
-    if arm.pneumatics is not None:
-        stiffest = stiffest + arm.pneumatics.stiffest(arm.count)
     # What runs away does so as fast as it would swing.
     rate = jnp.hypot(largest(jnp.abs(stiffest) + hanging), largest(jnp.abs(damping)) ** 2)
-    if laws.rows:
-        rate = jnp.hypot(rate, jnp.max(laws.state_slopes(at)[2]))
-    if arm.pneumatics is None or arm.pneumatics.drive.lag is None:
-        return rate
-    return jnp.hypot(rate, 1 / arm.pneumatics.drive.lag)
+    for law, own in laws.each(at):
+        if law.rows:
+            rate = jnp.hypot(rate, jnp.max(law.state_slopes(own)[2]))
+    return rate
 
 
 class Inputs(eqx.Module):
@@ -107,40 +104,35 @@ class Inputs(eqx.Module):
 
     def parts(self, state: "State") -> "Parts":
         """What the rows of a state are."""
-        memory = 2 + self.arm.joints.further_laws.rows
-        muscles = memory + (0 if self.arm.pneumatics is None else self.arm.pneumatics.rows)
-        return Parts(state[0], state[1], state[2:memory], state[memory:muscles], state[muscles:])
+        memory = 2 + self.arm.further_laws.rows
+        return Parts(state[0], state[1], state[2:memory], state[memory:])
 
-    def supplied(self, time: Any) -> Float[Array, "2 joint"] | None:
-        """Pressures (Pa) that are supplied to muscles; None where joints have springs."""
-        if self.arm.pneumatics is None:
-            return None
-        command = self.command(time)
-        if self.pressure is None:
-            return self.arm.pneumatics.commanded(command)
-        return self.pressure.at(self.arm, time, command)
+    def at(
+        self, laws: JointLaws, time: Any, angles: Array, rates: Array, states: Array | None
+    ) -> JointState:
+        """The joints as laws see them, by default at the beginning of a motion."""
+        command, pressures = self.command(time), None
+        if self.pressure is not None:
+            pressures = self.pressure.at(self.arm, time, command)
+        return laws.at(angles, rates, command, states, pressures)
 
-    def inside(self, time: Any, muscles: Array) -> Float[Array, "2 joint"] | None:
-        """Pressures (Pa) in muscles of these states."""
-        if self.arm.pneumatics is None or not self.arm.pneumatics.rows:
-            return self.supplied(time)
-        return self.arm.pneumatics.inside(muscles)
+    def inside(self, time: Any, memory: Array) -> Float[Array, "2 joint"] | None:
+        """Pressures (Pa) in muscles, where laws have these states; None without muscles."""
+        laws, still = self.arm.further_laws, jnp.zeros(self.arm.count, memory.dtype)
+        parts = laws.each(self.at(laws, time, still, still, memory))
+        return next((law.inside(own) for law, own in parts if law.takes_pressures), None)
 
     def start(self, state: Float[Array, "2 joint"], time: Scalar) -> "State":
         """The state at the beginning: nothing is strained, and pressures have settled."""
-        rows = [state, self.arm.joints.further_laws.unstrained(state[0])]
-        if self.arm.pneumatics is not None:
-            pressures = self.supplied(time)
-            assert pressures is not None
-            rows.append(self.arm.pneumatics.filled(pressures))
+        rows = [state, self.at(self.arm.further_laws, time, state[0], state[1], None).states]
         if self.arm.contact is not None:
             rows.append(jnp.zeros((self.arm.contact.rows, self.arm.count), state.dtype))
         return jnp.concatenate(rows)
 
 
 State = Float[Array, "row joint"]
-"""Angles (rad) and rates (rad/s); where joints remember, the states of their laws; where
-pressures lag, those of the muscles; where contacts have friction, the stretch of the skin."""
+"""Angles (rad) and rates (rad/s); where joints remember, or pressures lag, the states of their
+laws; where contacts have friction, the stretch of the skin."""
 
 
 class Parts(NamedTuple):
@@ -149,7 +141,6 @@ class Parts(NamedTuple):
     angles: Float[Array, " joint"]
     rates: Float[Array, " joint"]
     memory: Float[Array, "memory joint"]
-    muscles: Float[Array, "muscle joint"]
     skin: Float[Array, "skin joint"]
 
 
@@ -157,13 +148,12 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
     """Rates and accelerations of the joints, and how fast their other states change."""
     # A jump at the very end is no part of the motion, and would be bisected for nothing.
     time = jnp.minimum(time, inputs.end)
-    angles, rates, memory, muscles, skin = inputs.parts(state)
-    arm, wind, laws = inputs.arm, inputs.wind, inputs.arm.joints.further_laws
-    command = inputs.command(time)
+    angles, rates, memory, skin = inputs.parts(state)
+    arm, wind, laws = inputs.arm, inputs.wind, inputs.arm.joint_laws
+    at = inputs.at(laws, time, angles, rates, memory)
     air = None if wind is None else along_links(arm, wind(time))
     gust = None if wind is None else along_links(arm, wind.rate(time))
-    pressures = inputs.inside(time, muscles)
-    torque = joint_torque(arm, angles, rates, command, memory, pressures)
+    torque = laws.torque(at)
     if inputs.torque is not None:
         torque = torque + inputs.torque(time)
     met = None if arm.contact is None else touch(arm, angles, rates, skin if skin.size else None)
@@ -171,11 +161,7 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
         torque = torque + met.torque
     clock = time if inputs.begin is None else inputs.begin + time
     moved = forward_dynamics(arm, angles, rates, torque, air, gust, clock)
-    rows = [rates[None], moved[None], laws.rate(laws.at(angles, rates, command, memory))]
-    if arm.pneumatics is not None and arm.pneumatics.rows:
-        supplied = inputs.supplied(time)
-        assert supplied is not None
-        rows.append(arm.pneumatics.rate(supplied, muscles))
+    rows = [rates[None], moved[None], laws.rate(at)]
     if met is not None and skin.size:
         rows.append(met.slip)
     return jnp.concatenate(rows)
@@ -193,7 +179,7 @@ class Springs(NamedTuple):
         mass: mass matrix, kg m^2.
         stiffness: N m/rad.
         damping: N m s/rad.
-        memory: of states of the joints' laws and pressures that lag, or None.
+        memory: of states of the joints' laws, or None.
         contact: how torques of contact change with the angles and rates of all joints, or None.
     """
 
@@ -205,11 +191,11 @@ class Springs(NamedTuple):
 
 
 class Strain(NamedTuple):
-    """How torques and further states depend on each other: of laws, and pressures that lag.
+    """How torques and states of the joints' laws depend on each other.
 
     Attributes:
         torque: of a unit of each state, against the motion, N m.
-        filling: change of each state with the angle of its joint, 1/rad; 0 for a pressure.
+        filling: change of each state with the angle of its joint, 1/rad.
         forgetting: rate at which each state falls back by itself, 1/s.
     """
 
@@ -220,44 +206,21 @@ class Strain(NamedTuple):
 
 def springs(time: Any, state: State, inputs: Inputs) -> Springs:
     """Mass matrix, and the slopes of the torques of the joints alone, in one state."""
-    angles, rates, memory, muscles, skin = inputs.parts(state)
-    time = jnp.minimum(time, inputs.end)
-    command = inputs.command(time)
-    pressures = inputs.inside(time, muscles)
-    arm, laws, pneumatics = inputs.arm, inputs.arm.joint_laws, inputs.arm.pneumatics
-    at = laws.at(angles, rates, command, memory)
-    stiffness, damping = laws.slopes(at)
+    angles, rates, memory, skin = inputs.parts(state)
+    arm, laws = inputs.arm, inputs.arm.joint_laws
+    at = inputs.at(laws, jnp.minimum(time, inputs.end), angles, rates, memory)
+    slopes = [law.slopes(own) for law, own in laws.each(at)]
     # What runs away is explicit: the matrix of a pair, or of a law, need not be positive definite.
-    if arm.joints.laws:
-        stiffness, damping = jnp.maximum(stiffness, 0), jnp.maximum(damping, 0)
-    if pneumatics is not None and pressures is not None:
-        along = jnp.ones_like(angles)
-        pair = jax.jvp(lambda x: pneumatics.torque(x, pressures), (angles,), (along,))[1]
-        stiffness = stiffness + jnp.maximum(-pair, 0)
-    strains = [Strain(*laws.state_slopes(at))] if laws.rows else []
-    if pneumatics is not None and pneumatics.rows:
-        strains.append(_lagging(pneumatics, angles, muscles))
-    strain = jax.tree.map(lambda *rows: jnp.concatenate(rows), *strains) if strains else None
+    if further := len(arm.joints.laws) + (arm.pneumatics is not None):
+        slopes[-further:] = jax.tree.map(lambda x: jnp.maximum(x, 0), slopes[-further:])
+    stiffness, damping = (
+        functools.reduce(operator.add, each) for each in zip(*slopes, strict=True)
+    )
+    strain = Strain(*laws.state_slopes(at)) if laws.rows else None
     contact = None
     if arm.contact is not None:
         contact = contact_stiffness(arm, angles, rates, skin if skin.size else None)
     return Springs(mass_matrix(arm, angles), stiffness, damping, strain, contact)
-
-
-def _lagging(pneumatics: Pneumatics, angles: Array, muscles: Array) -> Strain:
-    """How the torques of muscles depend on pressures that lag, and these on themselves."""
-
-    def of_one(row: Array) -> Array:
-        at, along = pneumatics.inside(muscles), pneumatics.inside(row)
-        return -jax.jvp(lambda p: pneumatics.torque(angles, p), (at,), (along,))[1]
-
-    assert pneumatics.drive.lag is not None
-    each = jnp.eye(2, dtype=angles.dtype)[:, :, None] * jnp.ones_like(muscles)[None]
-    return Strain(
-        torque=jnp.stack([of_one(row) for row in each]),
-        filling=jnp.zeros_like(muscles),
-        forgetting=jnp.full_like(muscles, 1.0) / pneumatics.drive.lag,
-    )
 
 
 def pull(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"]:
@@ -266,13 +229,11 @@ def pull(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"]:
     # The state and the arm are those of the matrices that this goes with, and constants as they
     # are: a derivative by a stiffness has spring and command in one small term, the deflection.
     arm, state = jax.lax.stop_gradient((inputs.arm, state))
-    angles, rates, memory, muscles, _ = inputs.parts(state)
-    # Of the laws those that a command may move: the springs, and those of one's own.
-    laws = JointLaws((Spring(arm.spring_stiffness), *arm.joints.laws.values()))
+    angles, rates, memory, _ = inputs.parts(state)
+    # Of the laws those that a command may move: the springs, those of one's own, and muscles.
+    further = arm.further_laws.laws[len(arm.joints.hysteresis.laws) :]
+    laws = JointLaws((Spring(arm.spring_stiffness), *further))
     own = memory[len(memory) - laws.rows :]
-    torque = laws.torque(JointState(angles, rates, inputs.command(time), own))
-    if arm.pneumatics is not None:
-        pressures = dataclasses.replace(inputs, arm=arm).inside(time, muscles)
-        assert pressures is not None
-        torque = torque + arm.pneumatics.torque(angles, pressures)
+    inputs = dataclasses.replace(inputs, arm=arm)
+    torque = laws.torque(inputs.at(laws, time, angles, rates, own))
     return torque if inputs.torque is None else torque + inputs.torque(time)

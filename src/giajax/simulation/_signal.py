@@ -4,6 +4,7 @@ Both are piecewise linear, with jumps allowed at the knots, so one class serves 
 logged rows. The step-size controller must not step over those knots that are corners.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -330,11 +331,17 @@ class Pressures(eqx.Module):
     def at(self, arm: Arm, time: Any, command: Float[Array, " joint"]) -> Float[Array, "2 joint"]:
         """Pressures at a time (s), Pa, where the controller is commanded to angles (rad)."""
         supplied = self.signal(time).reshape(2, arm.count)
-        assert arm.pneumatics is not None
-        given = np.isin(np.arange(arm.count) + 1, self.joints)
-        if set(self.joints) >= set(arm.pneumatics.joints):
+        given, law = np.isin(np.arange(arm.count) + 1, self.joints), arm.further_laws.driven
+        if law is None or set(self.joints) >= set(_with_muscles(arm)):
             return jnp.where(given, supplied, 0)
-        return jnp.where(given, supplied, arm.pneumatics.commanded(command))
+        return jnp.where(given, supplied, law.commanded(command))
+
+
+def _with_muscles(arm: Arm) -> Sequence[int]:
+    """Numbers of the joints that pressures drive: all of them, where a law of one's own does."""
+    if arm.pneumatics is not None:
+        return arm.pneumatics.joints
+    return () if arm.further_laws.driven is None else range(1, arm.count + 1)
 
 
 def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None:
@@ -347,7 +354,7 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
             the limit of the muscles, a command beyond 60 deg or for which they are too weak, an
             impossible geometry, or one whose lever jumps at 0.
     """
-    known = () if arm.pneumatics is None else arm.pneumatics.joints
+    known = _with_muscles(arm)
     driven = () if pressure is None else pressure.joints
     for joint in sorted(set(driven) - set(known)):
         raise InputError(

@@ -101,7 +101,7 @@ def _undisturbed_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 def slides(arm: Arm) -> bool:
     """Whether something slides, in joints or along obstacles."""
     touches = arm.contact is not None and arm.contact.rows > 0
-    return arm.joints.further_laws.slides or touches
+    return arm.further_laws.slides or touches
 
 
 T = TypeVar("T")
@@ -200,7 +200,7 @@ def integrate(
     if derivatives == "forward":
         rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
     method: Any = solver_named(solver, reverse=derivatives == "reverse")
-    laws = arm.joints.further_laws
+    laws = arm.further_laws
     fastest = mobility = None
     if steps_for == "derivatives":
         rate = fastest_rate(arm, state[0])
@@ -212,7 +212,7 @@ def integrate(
     moved = Inputs(arm, followed, wind, torque, eqxi.prevbefore(end), pressure)
     controller: Any = stepsize_controller
     if not isinstance(controller, diffrax.StepTo):
-        turning = laws.rows > 0
+        turning = arm.joints.further_laws.rows > 0
         controller = step_size_controller(
             method,
             rtol,
@@ -239,7 +239,7 @@ def integrate(
         throw=False,
     )
     assert solution.ys is not None
-    angles, rates, memory, muscles, skin = jax.vmap(moved.parts)(solution.ys)
+    angles, rates, memory, skin = jax.vmap(moved.parts)(solution.ys)
     counts = (solution.stats[f"num_{which}_steps"] for which in ("accepted", "rejected"))
     steps = jnp.stack([jnp.asarray(count) for count in counts])
     return Trajectory(
@@ -248,7 +248,7 @@ def integrate(
         rates=rates,
         # Within a step sliding elements have not caught up yet.
         memory=jax.vmap(laws.return_mapped)(angles, memory) if laws.rows else None,
-        pressures=None if arm.pneumatics is None else jax.vmap(moved.inside)(times, muscles),
+        pressures=jax.vmap(moved.inside)(times, memory),
         skin=skin if skin.size else None,
         arm=arm,
         command=command,

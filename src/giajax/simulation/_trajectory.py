@@ -154,7 +154,7 @@ def at_rest(arm: Arm, angles: Float[Array, " joint"]) -> Trajectory:
     command, time = constant(angles), jnp.zeros((), angles.dtype)
     inputs = Inputs(arm, command, None, None, time)
     parts = inputs.parts(inputs.start(jnp.stack([angles, jnp.zeros_like(angles)]), time))
-    pressures = inputs.inside(time, parts.muscles)
+    pressures = inputs.inside(time, parts.memory)
     return Trajectory(
         times=time[None],
         angles=parts.angles[None],

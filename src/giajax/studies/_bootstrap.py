@@ -14,7 +14,7 @@ from ..noise import ChannelNoise, drawn
 from ..recordings import Run
 from ..runtime.arrays import Float
 from ..runtime.execution import Execution
-from ..runtime.text import InputError
+from ..runtime.text import InputError, keywords_listed
 from ..schema.parameters import get
 from ._refit import Fitted, StudyRecord, end_values, optimum_of, refit
 
@@ -380,6 +380,7 @@ CHUNK = 16
 _LARGEST = 1_000_000
 
 
+@keywords_listed()
 def bootstrap(
     result: FitResult,
     runs: Run | Sequence[Run],

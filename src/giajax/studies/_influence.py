@@ -11,7 +11,7 @@ from ..fitting import CellEquations, FitResult, Optimum, Recorded
 from ..recordings import Channel, Run
 from ..runtime.execution import Execution
 from ..runtime.records import finite_or_none
-from ..runtime.text import InputError
+from ..runtime.text import InputError, keywords_listed
 from ._refit import Fitted, StudyRecord, end_values
 
 
@@ -193,6 +193,7 @@ _CHUNK = 16  # fits of a task, which share a program
 _MOST_SPANS = 1000
 
 
+@keywords_listed()
 def influence(
     result: FitResult,
     runs: Run | Sequence[Run],

@@ -23,10 +23,10 @@ from ..fitting import (
     solve,
 )
 from ..models import AbstractModel
-from ..recordings import FitSettings, Run, StartsKeywords, fit_settings
+from ..recordings import FIT_DEFAULTS, FitSettings, Run, StartsKeywords, fit_settings
 from ..runtime.parallel import Tell
 from ..runtime.process import cores
-from ..runtime.text import InputError
+from ..runtime.text import InputError, keywords_listed
 from ._refit import end_values
 from ._starts import (
     End,
@@ -111,6 +111,7 @@ STARTS = 8
 """Starts of `multi_start`, where nobody says how many."""
 
 
+@keywords_listed(FIT_DEFAULTS)
 def multi_start(
     model: AbstractModel,
     runs: Run | Sequence[Run],

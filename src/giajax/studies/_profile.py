@@ -16,7 +16,7 @@ from ..recordings import Run
 from ..runtime.execution import Execution
 from ..runtime.records import finite_or_none
 from ..runtime.tasks import Outcome
-from ..runtime.text import InputError
+from ..runtime.text import InputError, keywords_listed
 from ._profile_records import Ending, Profile, ProfilePoint, Profiles, interval_end, remarks_on
 from ._profiled import Followed, Profiled, profiled_of, quantity_names, tangent
 from ._refit import Fitted, fit_key
@@ -245,6 +245,7 @@ def _point(
 LEVEL = 0.95
 
 
+@keywords_listed()
 def profile(
     result: FitResult,
     runs: Run | Sequence[Run],

@@ -20,6 +20,7 @@ from giajax.mechanics.arm import (
     JointLaws,
     JointState,
     Memory,
+    Pneumatics,
     Spring,
     Stops,
     damping_power,
@@ -31,7 +32,13 @@ from giajax.mechanics.arm import (
     takeichi_20m,
 )
 from giajax.runtime.plugins import sources_of
-from giajax.schema.parameters import declared, default_free, parameter, replace
+from giajax.schema.parameters import (
+    declared,
+    default_free,
+    parameter,
+    replace,
+    switched_on,
+)
 from giajax.simulation import constant
 from giajax.testing import check_joint_law
 
@@ -49,7 +56,15 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+lagging = {"drive.lag": 0.3, "drive.passive_stiffness": 0.1}
+MUSCLES = replace(switched_on(Pneumatics((1, 3, 4)), list(lagging)), lagging)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [*LAWS.values(), pytest.param(MUSCLES, marks=pytest.mark.slow)],
+    ids=[*LAWS, "muscles"],
+)
 def test_a_law_of_giajax_makes_no_energy_and_has_its_derivatives(law):
     check_joint_law(law)
 
@@ -426,6 +441,65 @@ def test_a_law_is_tried_once_for_its_numbers_and_joints():
         Counting.calls.clear()
         takeichi_20m(joints, joint_laws=[Counting(modulus=modulus)])
         assert bool(Counting.calls) == again
+
+
+@giajax.register
+class Bellows(AbstractJointLaw):
+    """Two bellows against each other; their pressures follow through a valve."""
+
+    passive = False
+    rows = 2
+    area: jax.Array = parameter(2e-5, unit="m^3", lower=0, frozen=False, doc="area times lever")
+    lag: jax.Array = parameter(0.2, unit="s", lower=1e-3, doc="of the pressures")
+
+    def commanded(self, command):
+        return 2e4 + jnp.stack([command, -command]) / (2 * self.area)
+
+    def settled(self, at):
+        return at.pressures / 1e5
+
+    def rate(self, at):
+        return (at.pressures / 1e5 - at.states) / self.lag
+
+    def torque(self, at):
+        return self.area * 1e5 * (at.states[0] - at.states[1]) - at.angles
+
+    def energy(self, at):
+        return at.angles**2 / 2
+
+
+BELLOWS = {"joints.pitch_stiffness": 0.0, "joints.yaw_stiffness": 0.0, "joints.damping": 0.3}
+
+
+def test_pressures_of_a_run_drive_a_law_of_ones_own(tmp_path):
+    arm = takeichi_20m(2, joint_laws=["Bellows"], parameters=BELLOWS)
+    assert "joints.laws.Bellows.area" in default_free(arm)
+    times = np.linspace(0, 20.0, 5)
+    options = {"rtol": 1e-8, "atol": 1e-8}
+    by_angle = giajax.simulate(arm, constant(jnp.asarray([0.3, -0.1])), times, **options)
+    # Its controller holds the command, at pressures that have settled.
+    assert_allclose(by_angle.angles[-1], [0.3, -0.1], atol=1e-3)
+    file = tmp_path / "run.csv"
+    (tmp_path / "run.toml").write_text(
+        '[arm]\npreset = "takeichi_20m"\nlinks = 2\njoint_laws = ["Bellows"]\n[arm.parameters]\n'
+        + "".join(f'"{path}" = {value}\n' for path, value in BELLOWS.items())
+    )
+    names = [
+        f"joint0{joint}_pressure_{side}_kPa" for joint in (1, 2) for side in ("first", "second")
+    ]
+    rows = [",".join(["time_s", *names, "joint01_angle_deg", "joint02_angle_deg"])]
+    rows += [f"{time},27.5,12.5,17.5,22.5,0,0" for time in times]
+    file.write_text("\n".join(rows))
+    run = giajax.read_run(file)
+    found, _ = (model := giajax.model_for([run])).predict(
+        model.prepare(run), ("joint01_angle", "joint02_angle")
+    )
+    assert_allclose(np.stack(list(found.values()), 1), by_angle.angles, atol=1e-5)
+
+
+def test_an_arm_has_one_law_that_pressures_drive():
+    with pytest.raises(InputError, match="Bellows and Pneumatics take pressures: give an arm one"):
+        takeichi_20m(2, joint_laws=["Bellows"], muscles="pitch")
 
 
 def test_a_law_that_is_driven_says_so():

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 from giajax import InputError
 from giajax.mechanics import arm as mechanics, joint as statics
 from giajax.mechanics.arm import (
+    JointLaws,
     Pneumatics,
     potential_energy,
     takeichi_20m,
@@ -25,6 +26,7 @@ from giajax.mechanics.joint import (
     Piston,
     branch_angles,
     muscle_path,
+    muscle_torques,
     pair_command,
 )
 
@@ -33,6 +35,13 @@ net_torque = eqx.filter_jit(statics.net_torque)
 acceleration = eqx.filter_jit(mechanics.acceleration)
 muscle_power = eqx.filter_jit(mechanics.muscle_power)
 commanded = eqx.filter_jit(Pneumatics.commanded)
+
+
+def held_at(drive, angles, pressures):
+    """Joints that are held at angles, with such pressures in their muscles."""
+    still = jnp.zeros_like(angles)
+    return JointLaws((drive,)).at(angles, still, still, None, pressures)
+
 
 LINKS = 4
 PAIR = Pneumatics((1,)).pair
@@ -82,7 +91,7 @@ def test_beyond_its_range_a_joint_is_finite_and_comes_back():
     beyond = jnp.deg2rad(jnp.asarray([60.0, 61.0, 90.0, 140.0, 300.0]))
 
     def torque(angle, pressures):
-        return drive.torque(angle[None], pressures[:, None])[0]
+        return drive.torque(held_at(drive, angle[None], pressures[:, None]))[0]
 
     both = jax.jit(jax.vmap(jax.vmap(jax.value_and_grad(torque), (0, None)), (None, 0)))
     for side in (1, -1):
@@ -118,7 +127,8 @@ def values(unflatten):
     def of(flat, row):
         own = unflatten(flat)
         held = own.commanded(jnp.clip(row[:1], -1, 1))[:, 0] / 1e5
-        return jnp.stack([own.torque(row[:1], row[1:, None])[0], *held, own.energy(row[:1])[0]])
+        at = held_at(own, row[:1], row[1:, None])
+        return jnp.stack([own.torque(at)[0], *held, own.energy(at)[0]])
 
     return of
 
@@ -168,6 +178,7 @@ def stored_along(arm, angles, rates, command):
 
 def test_what_muscles_do_is_stored_or_resisted():
     """Power of the torque = power of the pressures - rate of what is stored."""
+    pull = jax.jit(lambda *at: muscle_torques(PAIR, *at, at[1] >= 0))
     arm = takeichi_20m(LINKS, muscles="pitch", parameters={"drive.passive_stiffness": 0.15})
     random = np.random.default_rng(4)
     for spread in (0.01, 0.5, 1.5):
@@ -177,6 +188,8 @@ def test_what_muscles_do_is_stored_or_resisted():
 
         torque = joint_torque(arm, angles, jnp.zeros(LINKS), command, pressures=pressures)
         power = muscle_power(arm, angles, rates, pressures)
+        first, second = pull(pressures, jnp.clip(angles, -np.pi / 3, np.pi / 3))
+        assert_allclose(power, np.sum(((first - second) * rates)[::2]), rtol=1e-10, atol=1e-14)
         change = stored_along(arm, angles, rates, command)
         assert float(torque @ rates) == pytest.approx(float(power - change), rel=1e-10, abs=1e-12)
 
@@ -240,11 +253,11 @@ def test_a_bound_of_the_stiffness_holds_for_any_pressures():
     held = np.asarray([[a, b] for a in (0, 1e5, 3e5) for b in (0, 1e5, 3e5)])
 
     def slope(angle, pressures):
-        own = lambda a: drive.torque(jnp.stack([a, 0 * a]), jnp.stack([pressures] * 2, 1))[0]  # noqa: E731
-        return -jax.grad(own)(angle)
+        angles, both = jnp.stack([angle, 0 * angle]), jnp.stack([pressures] * 2, 1)
+        return drive.slopes(held_at(drive, angles, both))[0][0]
 
     found = jax.jit(jax.vmap(jax.vmap(slope, (0, None)), (None, 0)))(angles, held)
-    bound = np.asarray(jax.jit(lambda drive: drive.stiffest(2))(drive))
+    bound = drive.stiffest(held_at(drive, jnp.zeros(2), jnp.zeros((2, 2))))
     assert np.max(found) <= bound[0] < 1.2 * np.max(found)
     # The stop is stiffer, and is none of it; nor have springs anything of the muscles.
     assert bound[0] < float(drive.drive.stop_stiffness)

@@ -169,7 +169,7 @@ class Record:
 
 @program
 def _seen(model: ArmModel, motion: Trajectory, channels: tuple[str, ...]) -> Channels:
-    given = (model.arm, model.sensors, lambda times, end: motion, motion.times, channels)
+    given = (model.sensors, lambda times, end: motion, motion.times, channels)
     return recorded_channels(*given)[0]
 
 

@@ -89,7 +89,7 @@ def linear(
         # What sensors ask of a motion, of one instant.
         instant = {"angles": angles[None], "rates": rates[None], "successful": True}
         motion: Any = SimpleNamespace(arm=arm, **instant)
-        given = (arm, model.sensors, lambda times, end: motion, jnp.zeros(1), names)
+        given = (model.sensors, lambda times, end: motion, jnp.zeros(1), names)
         seen, _ = recorded_channels(*given)
         return jnp.stack([seen[name][0] for name in names])
 

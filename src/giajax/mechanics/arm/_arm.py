@@ -93,6 +93,9 @@ class Arm(ShownAsTable, eqx.Module):
                 f"joint {self.pneumatics.joints[-1]} has muscles, but the arm has "
                 f"{self.links.count} joints: correct the number"
             )
+        driven = [type(law).__name__ for law in self.further_laws.laws if law.takes_pressures]
+        if len(driven) > 1:
+            raise InputError(f"{' and '.join(driven)} take pressures: give an arm one such law")
 
     @property
     def count(self) -> int:
@@ -109,9 +112,15 @@ class Arm(ShownAsTable, eqx.Module):
 
     @property
     def joint_laws(self) -> JointLaws:
-        """What acts in the joints, muscles apart: springs, dampers, hysteresis, and more laws."""
+        """What acts in the joints: springs, dampers, hysteresis, more laws, and muscles."""
         spring = Spring(self.spring_stiffness)
-        return JointLaws((spring, *self.joints.dampers, *self.joints.further_laws.laws))
+        return JointLaws((spring, *self.joints.dampers, *self.further_laws.laws))
+
+    @property
+    def further_laws(self) -> JointLaws:
+        """What acts beside springs and dampers, and has all states: of `joints`, and muscles."""
+        muscles = () if self.pneumatics is None else (self.pneumatics,)
+        return JointLaws((*self.joints.further_laws.laws, *muscles))
 
     def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
         links, law, laws = self.links, self.air.drag_law, self.joint_laws.laws

@@ -81,16 +81,11 @@ def joint_torque(
     Arguments:
         angles, rates, command: of the joints, rad, rad/s and rad.
         memory: states of the joints' laws (`Arm.joint_laws`); without strain by default.
-        pressures: in the muscles of joints that have some (`Pneumatics`), Pa; by default those with
-            which their controller holds the command.
+        pressures: supplied to the muscles of joints that have some (`Pneumatics`), Pa; by default
+            those with which their controller holds the command.
     """
     laws = arm.joint_laws
-    torque = laws.torque(laws.at(angles, rates, command, memory))
-    if arm.pneumatics is not None:
-        if pressures is None:
-            pressures = arm.pneumatics.commanded(command)
-        torque = torque + arm.pneumatics.torque(angles, pressures)
-    return torque
+    return laws.torque(laws.at(angles, rates, command, memory, pressures))
 
 
 def forward_dynamics(
@@ -201,8 +196,6 @@ def potential_energy(
     """
     here, laws = pose(arm, angles), arm.joint_laws
     springs = laws.energy(laws.at(angles, jnp.zeros_like(angles), command, memory)).sum()
-    if arm.pneumatics is not None:
-        springs = springs + arm.pneumatics.energy(angles).sum()
     energy = springs + arm.gravity * (bodies(arm).mass * here.mass_centre[2]).sum()
     lifted = lift_force(arm)
     if lifted is not None:
@@ -246,11 +239,8 @@ def hysteresis_power(
 
     With that of laws of one's own, to which the command may matter: 0 by default, as are strains.
     """
-    laws = arm.joints.further_laws
-    if not laws.laws:
-        return jnp.zeros(())
     command = jnp.zeros_like(angles) if command is None else command
-    return -laws.dissipation(laws.at(angles, rates, command, memory)).sum()
+    return -_lost(arm.further_laws, False, angles, rates, command, memory)
 
 
 def muscle_power(
@@ -261,6 +251,12 @@ def muscle_power(
     Muscles are without friction, so that it is the pressure times the rate of the volume where
     the law is virtual work of the gas (the ideal braid).
     """
-    if arm.pneumatics is None:
-        return jnp.zeros(())
-    return (arm.pneumatics.pull(angles, pressures) * rates).sum()
+    still = jnp.zeros_like(angles)
+    return -_lost(arm.further_laws, True, angles, rates, still, None, pressures)
+
+
+def _lost(laws: JointLaws, driven: bool, *state: Any) -> Scalar:
+    """Power that is neither stored nor given to the joints by laws that pressures drive, or not."""
+    parts = laws.each(laws.at(*state)) if laws.laws else ()
+    lost = [law.dissipation(own).sum() for law, own in parts if law.takes_pressures == driven]
+    return sum(lost, jnp.zeros(()))

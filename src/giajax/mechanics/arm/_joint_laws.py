@@ -21,6 +21,7 @@ from ..hysteresis import bouc_wen_rate
 PerJoint = Float[Array, " joint"]
 Each = Float[Array, ""] | PerJoint
 States = Float[Array, "row joint"]
+Supply = Float[Array, "2 joint"]
 
 _ROUNDING = 16  # of the angles that a strain is the difference of, in units of their last place
 
@@ -33,27 +34,31 @@ class JointState(NamedTuple):
         rates: rad/s.
         command: commanded angles, rad.
         states: of the law's own, in rows.
+        pressures: supplied to both muscles of each joint, Pa; None where no law takes any.
     """
 
     angles: PerJoint
     rates: PerJoint
     command: PerJoint
     states: States
+    pressures: Supply | None = None
 
 
 class AbstractJointLaw(eqx.Module):
     """What acts in each joint: `torque`, and the `energy` that is stored in it. Laws add.
 
     All joints are computed at once, and no joint may depend on another one. A law of `rows` states
-    has their `rate`, or what they slide by (`return_mapped`). What solvers need besides follows by
-    derivatives. Its parameters are declared as all others
-    (`giajax.schema.parameters.parameter`) and have paths as `joints.laws.CLASS.NAME`.
+    has their `rate`, or what they slide by (`return_mapped`). One that is driven by pressures has
+    `commanded`. What solvers need besides follows by derivatives. Its parameters are declared as
+    all others (`giajax.schema.parameters.parameter`) and have paths as `joints.laws.CLASS.NAME`.
     `check_joint_law` tests a law.
     """
 
     registered_as: ClassVar[str] = "joint"
     passive: ClassVar[bool] = True
     """Whether the law claims never to give more energy than it has stored."""
+    largest_angle: ClassVar[float] = np.inf
+    """Up to where `stiffest` is a bound, rad; beyond, steps are left to the control of errors."""
 
     @property
     @optional
@@ -75,6 +80,31 @@ class AbstractJointLaw(eqx.Module):
         return jnp.zeros((self.rows, angles.size), angles.dtype)
 
     @optional
+    def settled(self, at: JointState) -> States:
+        """The states at the beginning of a motion, at these pressures; `unstrained` by default."""
+        return self.unstrained(at.angles)
+
+    @optional
+    def commanded(self, command: PerJoint) -> Supply:
+        """Pressures (Pa) that a controller supplies for commanded angles (rad).
+
+        A law with this method takes `pressures`, an arm has one at most, and those of a run take
+        the place of these. Without a controller they are 0.
+        """
+        return jnp.zeros((2, command.size), command.dtype)
+
+    @optional
+    def inside(self, at: JointState) -> Supply:
+        """Pressures in the muscles, Pa: those supplied, unless they lag."""
+        assert at.pressures is not None
+        return at.pressures
+
+    @property
+    def takes_pressures(self) -> bool:
+        """Whether pressures drive it."""
+        return type(self).commanded is not AbstractJointLaw.commanded
+
+    @optional
     def rate(self, at: JointState) -> States:
         """How fast the states change, 1/s; not at all by default."""
         return jnp.zeros_like(at.states)
@@ -88,8 +118,8 @@ class AbstractJointLaw(eqx.Module):
     @optional
     def slopes(self, at: JointState) -> tuple[PerJoint, PerJoint]:
         """Stiffness (N m/rad) and damping (N m s/rad), at constant states: how the torque falls."""
-        stiffness = _slope(lambda x: self.torque(at._replace(angles=x)), at.angles)
-        damping = _slope(lambda x: self.torque(at._replace(rates=x)), at.rates)
+        stiffness = slope(lambda x: self.torque(at._replace(angles=x)), at.angles)
+        damping = slope(lambda x: self.torque(at._replace(rates=x)), at.rates)
         return -stiffness, -damping
 
     @optional
@@ -116,7 +146,7 @@ class AbstractJointLaw(eqx.Module):
             Torque of a unit of each state, against the motion, N m; change of each state with the
             angle of its joint, 1/rad; and rate at which each falls back by itself, 1/s.
         """
-        if type(self).rate is AbstractJointLaw.rate:
+        if not self.rows or type(self).rate is AbstractJointLaw.rate:
             # Where such a state slides, the torque does not change.
             return (jnp.zeros_like(at.states),) * 3
 
@@ -124,7 +154,7 @@ class AbstractJointLaw(eqx.Module):
             there = at._replace(states=states)
             return self.torque(there), self.rate(there)
 
-        filling = _slope(lambda x: self.rate(at._replace(rates=x)), at.rates)
+        filling = slope(lambda x: self.rate(at._replace(rates=x)), at.rates)
         units = np.eye(self.rows, dtype=at.states.dtype)[:, :, None]
         slopes = [
             jax.jvp(of, (at.states,), (np.broadcast_to(unit, at.states.shape),))[1]
@@ -141,7 +171,7 @@ class AbstractJointLaw(eqx.Module):
         return type(self).return_mapped is not AbstractJointLaw.return_mapped
 
 
-def _slope(of: Callable[[Array], Array], at: Array) -> Array:
+def slope(of: Callable[[Array], Array], at: Array) -> Array:
     # No joint depends on another one, so that one derivative along all at once is the diagonal.
     return jax.jvp(of, (at,), (jnp.ones_like(at),))[1]
 
@@ -164,12 +194,28 @@ class JointLaws(AbstractJointLaw):
         """Whether states of one have to be `return_mapped`."""
         return any(law.slides for law in self.laws if law.rows)
 
+    @property
+    def driven(self) -> AbstractJointLaw | None:
+        """The one that takes pressures; None where none does."""
+        return next((law for law in self.laws if law.takes_pressures), None)
+
     def at(
-        self, angles: PerJoint, rates: PerJoint, command: PerJoint, states: States | None = None
+        self,
+        angles: PerJoint,
+        rates: PerJoint,
+        command: PerJoint,
+        states: States | None = None,
+        pressures: Supply | None = None,
     ) -> JointState:
-        """Joints at angles (rad), rates (rad/s) and commands (rad); by default without strain."""
-        states = self.unstrained(angles) if states is None else states
-        return JointState(angles, rates, command, states)
+        """Joints at angles (rad), rates (rad/s) and commands (rad).
+
+        By default without strain, and at the pressures (Pa) of the controller.
+        """
+        if pressures is None and self.driven is not None:
+            pressures = self.driven.commanded(command)
+        none = jnp.zeros((0, angles.size), angles.dtype)
+        at = JointState(angles, rates, command, none if states is None else states, pressures)
+        return at._replace(states=self.settled(at)) if states is None else at
 
     def torque(self, at: JointState) -> PerJoint:
         """Torque on each joint, N m."""
@@ -193,27 +239,31 @@ class JointLaws(AbstractJointLaw):
 
     def unstrained(self, angles: PerJoint) -> States:
         """The states of joints that were never moved from these angles (rad)."""
-        none = jnp.zeros((0, angles.size), angles.dtype)
-        return jnp.concatenate([none, *(law.unstrained(angles) for law in self.laws if law.rows)])
+        return self._rows(angles, lambda law: law.unstrained(angles))
+
+    def settled(self, at: JointState) -> States:
+        """The states at the beginning of a motion."""
+        return self._rows(at.angles, lambda law: law.settled(at))
 
     def rate(self, at: JointState) -> States:
         """How fast the states change, 1/s."""
-        rates = [law.rate(own) for law, own in self._each(at) if law.rows]
+        rates = [law.rate(own) for law, own in self.each(at) if law.rows]
         return jnp.concatenate(rates) if rates else at.states
 
     def return_mapped(self, angles: PerJoint, states: States) -> States:
         """The states after a motion to these angles (rad) in which no joint turned round."""
-        parts = self._each(JointState(angles, angles, angles, states))
+        parts = self.each(JointState(angles, angles, angles, states))
         mapped = [law.return_mapped(angles, own.states) for law, own in parts if law.rows]
         return jnp.concatenate(mapped) if mapped else states
 
     def state_slopes(self, at: JointState) -> tuple[States, States, States]:
         """How torques and states depend on each other, law after law."""
-        parts = [law.state_slopes(own) for law, own in self._each(at) if law.rows]
+        parts = [law.state_slopes(own) for law, own in self.each(at) if law.rows]
         torque, filling, forgetting = map(jnp.concatenate, zip(*parts, strict=True))
         return torque, filling, forgetting
 
-    def _each(self, at: JointState) -> Iterator[tuple[AbstractJointLaw, JointState]]:
+    def each(self, at: JointState) -> Iterator[tuple[AbstractJointLaw, JointState]]:
+        """The laws, with the joints as each of them sees them."""
         row = 0
         for law in self.laws:
             # Without an operation where they are all.
@@ -221,8 +271,12 @@ class JointLaws(AbstractJointLaw):
             yield law, at if law.rows == self.rows else at._replace(states=at.states[own])
             row += law.rows
 
+    def _rows(self, angles: PerJoint, of: Callable[[AbstractJointLaw], States]) -> States:
+        none = jnp.zeros((0, angles.size), angles.dtype)
+        return jnp.concatenate([none, *(of(law) for law in self.laws if law.rows)])
+
     def _sum(self, at: JointState, of: Callable[[AbstractJointLaw, JointState], T]) -> T:
-        parts = [of(law, own) for law, own in self._each(at)]
+        parts = [of(law, own) for law, own in self.each(at)]
         added: T = jax.tree.map(lambda *each: functools.reduce(operator.add, each), *parts)
         return added
 

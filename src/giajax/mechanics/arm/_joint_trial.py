@@ -21,6 +21,7 @@ from ._joint_laws import AbstractJointLaw, JointState, States
 _MOTIONS = ((1e-3, 1.0), (0.03, 0.3), (0.4, 2.0), (1.5, 0.5), (0.0, 0.0), (0.3, 0.0))
 _SAMPLES, _CYCLES = 96, 2.0
 _STEP = 1e-7  # of differences, in rad, s and so on
+_PRESSURE = 1e5  # Pa
 _MOST_STEPS = 1000  # of the states between two samples; what is quicker is tried where it got to
 _SLOPES, _POWERS = 1e-2, 1e-3  # tolerances
 
@@ -29,6 +30,8 @@ _PASSED: set[tuple[type, int, str]] = set()
 
 def check_joint_law(law: AbstractJointLaw, joints: int = 7) -> None:
     """Try a law on so many joints that move to and fro under a held command, and at rest.
+
+    Where it takes pressures, these are held, too.
 
     While a program is traced nothing is checked.
 
@@ -66,9 +69,12 @@ def _check_shapes(law: AbstractJointLaw, joints: int) -> None:
         rows = "a method" if callable(rows) else rows
         raise InputError(f"{name}.rows is {rows}: give 0, or as many states of each joint")
     each, states = jnp.zeros(joints), jnp.zeros((rows, joints))
-    at = JointState(each, each, each, states)
+    supply = jnp.zeros((2, joints))
+    at = JointState(each, each, each, states, supply if law.takes_pressures else None)
     methods: dict[str, tuple[tuple[Any, ...], Any]] = {
         "unstrained": ((each,), states),
+        "settled": ((at,), states),
+        "commanded": ((each,), supply),
         "torque": ((at,), each),
         "energy": ((at,), each),
         "rate": ((at,), states),
@@ -107,7 +113,9 @@ def _tried(
     def motion(time: Any, states: States) -> JointState:
         angles = size * (jnp.sin(turn * time + first) + 0.3 * jnp.sin(2 * turn * time + second))
         rates = jnp.cos(turn * time + first) + 0.6 * jnp.cos(2 * turn * time + second)
-        return JointState(angles, size * turn * rates, 0.2 * size * jnp.cos(second), states)
+        pressures = _PRESSURE * size * (1 + jnp.cos(phases)) if law.takes_pressures else None
+        command = 0.2 * size * jnp.cos(second)
+        return JointState(angles, size * turn * rates, command, states, pressures)
 
     def one(states: States, times: tuple[Scalar, Scalar]) -> tuple[States, Any]:
         time, end = times
@@ -115,7 +123,7 @@ def _tried(
         states = _integrated(lambda t, x: law.rate(motion(t, x)), states, time, end)
         return law.return_mapped(motion(end, states).angles, states), (at, _found(law, at))
 
-    start = law.unstrained(motion(0.0, jnp.zeros((law.rows, first.size))).angles)
+    start = law.settled(motion(0.0, jnp.zeros((law.rows, first.size))))
     times = span * jnp.linspace(0.0, 1.0, _SAMPLES)
     tried: tuple[JointState, dict[str, Any]]
     _, tried = jax.lax.scan(one, start, (times[:-1], times[1:]))
@@ -154,7 +162,9 @@ def _size(x: Array) -> Array:
 
 
 def _values(law: AbstractJointLaw, at: JointState) -> dict[str, Array]:
+    driven = {"settled": law.settled(at), "commanded": law.commanded(at.command)}
     return {
+        **(driven if law.takes_pressures else {}),
         "torque": law.torque(at),
         "energy": law.energy(at),
         "rate": law.rate(at),
@@ -167,29 +177,46 @@ def _found(law: AbstractJointLaw, at: JointState) -> dict[str, Any]:
     """Values, slopes with the differences to both sides, joints that others move, and powers."""
     parameters, rest = eqx.partition(law, eqx.is_inexact_array)
     given: dict[str, Any] = {**at._asdict(), "parameters": parameters}
+    if at.pressures is None:
+        del given["pressures"]
     here = _values(law, at)
 
-    def slopes(name: str) -> tuple[dict[str, Array], ...]:
-        # Of a parameter in its own size, where it is large.
-        value, least = given[name], jnp.ones_like if name in at._fields else _size
-        along = jax.tree.map(least, value)
+    # Of a parameter in its own size, where it is large.
+    along = {
+        name: jax.tree.map(jnp.ones_like if name in at._fields else _size, value)
+        for name, value in given.items()
+    }
+    if "pressures" in along:
+        along["pressures"] = along["pressures"] * _PRESSURE
 
-        def of(value: Any) -> dict[str, Array]:
-            own = {**given, name: value}
-            whole = eqx.combine(own.pop("parameters"), rest)
-            return _values(whole, JointState(**own))
+    def of(**moved: Any) -> dict[str, Array]:
+        own = given | moved
+        whole = eqx.combine(own.pop("parameters"), rest)
+        return _values(whole, JointState(**own))
 
-        def to_one_side(step: float) -> dict[str, Array]:
-            there = of(jax.tree.map(lambda x, dx: x + step * dx, value, along))
-            return jax.tree.map(lambda x, x0: (x - x0) / step, there, here)
+    def aside(steps: Array) -> dict[str, Array]:
+        """Differences where each of what is given is a step away, over the only one that is."""
+        moved = {
+            name: jax.tree.map(lambda x, dx, step=step: x + step * dx, value, along[name])
+            for (name, value), step in zip(given.items(), steps, strict=True)
+        }
+        return jax.tree.map(lambda x, x0: (x - x0) / jnp.sum(steps), of(**moved), here)
 
-        return jax.jvp(of, (value,), (along,))[1], to_one_side(_STEP), to_one_side(-_STEP)
+    ahead = _STEP * jnp.eye(len(given))
+    sides = jax.vmap(aside)(jnp.concatenate([ahead, -ahead]))
+
+    def slopes(place: int, name: str) -> tuple[dict[str, Array], ...]:
+        slope = jax.jvp(lambda x: of(**{name: x}), (given[name],), (along[name],))[1]
+        both = (place, place + len(given))
+        return slope, *(jax.tree.map(lambda x, at=at: x[at], sides) for at in both)
 
     def others(moved: Array) -> dict[str, Array]:
         """What changes of all joints but one where that one is elsewhere."""
         # Each by another length, so that a difference of two is moved, too.
         rows = 0.004 * np.arange(1, law.rows + 1)[:, None]
         lengths = JointState(*map(jnp.asarray, (0.01, 0.013, -0.007, rows)))
+        if at.pressures is not None:
+            lengths = lengths._replace(pressures=jnp.asarray([[1e3], [1.7e3]]))
         there = _values(law, jax.tree.map(lambda x, dx: jnp.where(moved, x + dx, x), at, lengths))
         return {
             name: jnp.max(jnp.where(moved, 0, jnp.abs(value - here[name])), initial=0)
@@ -202,7 +229,7 @@ def _found(law: AbstractJointLaw, at: JointState) -> dict[str, Any]:
     after = after._replace(states=law.return_mapped(after.angles, states))
     return {
         "values": here,
-        "slopes": {name: slopes(name) for name in given},
+        "slopes": {name: slopes(place, name) for place, name in enumerate(given)},
         "others": jax.vmap(others)(jnp.eye(at.angles.size, dtype=bool)),
         "taken": -(here["torque"] + law.torque(after)) / 2 * at.rates,
         "stored": (law.energy(after) - here["energy"]) / _STEP,
@@ -234,7 +261,7 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
     for method, value in found["values"].items():
         finite = "correct it (safe_norm of giajax.runtime.arrays is a root with derivatives at 0)"
         refuse(method, "has a value that is not finite", ~np.isfinite(value), finite)
-        apart = "compute each joint from its own angle, rate, command and states"
+        apart = "compute each joint from its own angle, rate, command, states and pressures"
         moves = found["others"][method] > 1e-9 * largest(value)
         refuse(method, "depends on another joint", moves, apart)
         for given, parts in found["slopes"].items():
@@ -246,7 +273,8 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
     moves = found["slopes"]["rates"][0]["energy"] != 0
     refuse("energy", "depends on the rate", moves, "store by angle, command and states alone")
     stiffness, stiffest = found["falling"][0], found["stiffest"]
-    wrong = ~np.isfinite(stiffest) | (stiffest < stiffness - 1e-6 * largest(stiffness))
+    within = np.abs(at.angles) <= law.largest_angle
+    wrong = within & (stiffest < stiffness - 1e-6 * largest(stiffness)) | ~np.isfinite(stiffest)
     what = f"is less than {name}.slopes, or not finite,"
     refuse("stiffest", what, wrong, "correct it, or leave it to derivatives")
     for given, falling in zip(("angles", "rates"), found["falling"], strict=True):

@@ -5,7 +5,7 @@ motion.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -30,7 +30,7 @@ from ..joint import (
     resistance,
     resistance_energy,
 )
-from ._joint_laws import PerJoint
+from ._joint_laws import AbstractJointLaw, JointState, PerJoint, States, Supply, slope
 from ._parts import Joints
 
 # Angles at which the steepest slope is looked for.
@@ -70,7 +70,7 @@ _END = LARGEST_ANGLE * (1 + 1e-14)  # the largest angle as other conversions fro
 _UNIT = 1e5  # a pressure as a state of the motion is in this unit, Pa: of the size of an angle
 
 
-class Pneumatics(eqx.Module):
+class Pneumatics(AbstractJointLaw):
     """Pairs of muscles in some joints, in place of their springs; the same pair in each.
 
     Pressures are arrays of shape (2, joint), Pa: of the first muscles, towards which a positive
@@ -87,6 +87,9 @@ class Pneumatics(eqx.Module):
     Raises:
         InputError: no joint or the same twice, a law that pushes, or corrections that jump.
     """
+
+    passive: ClassVar[bool] = False  # their air does work
+    largest_angle: ClassVar[float] = LARGEST_ANGLE
 
     joints: tuple[int, ...] = eqx.field(static=True)
     # A recording of an arm hardly tells them: a fit finds those that it is asked for.
@@ -129,21 +132,23 @@ class Pneumatics(eqx.Module):
         """States of each joint: its two pressures where they lag."""
         return 0 if self.drive.lag is None else 2
 
-    def filled(self, pressures: Float[Array, "2 joint"]) -> Float[Array, "row joint"]:
-        """The states of muscles in which pressures (Pa) have settled."""
-        return pressures[: self.rows] / _UNIT
+    def settled(self, at: JointState) -> States:
+        """The states of muscles in which the supplied pressures have settled."""
+        assert at.pressures is not None
+        return at.pressures[: self.rows] / _UNIT
 
-    def inside(self, states: Float[Array, "row joint"]) -> Float[Array, "2 joint"]:
-        """Pressures (Pa) of states, where pressures lag."""
-        return states * _UNIT
+    def inside(self, at: JointState) -> Supply:
+        """Pressures in the muscles, Pa: those supplied, or where these lag, of the states."""
+        pressures = at.states * _UNIT if self.rows else at.pressures
+        assert pressures is not None
+        return pressures
 
-    def rate(
-        self, supplied: Float[Array, "2 joint"], states: Float[Array, "row joint"]
-    ) -> Float[Array, "row joint"]:
-        """How fast the states change under supplied pressures (Pa), 1/s."""
+    def rate(self, at: JointState) -> States:
+        """How fast the states change under the supplied pressures, 1/s."""
         if self.drive.lag is None:
-            return states
-        return (supplied / _UNIT - states) / self.drive.lag
+            return at.states
+        assert at.pressures is not None
+        return (at.pressures / _UNIT - at.states) / self.drive.lag
 
     def asked(self, angle: Float[Array, "*shape"]) -> PairCommand:
         """What the controller asks of both muscles of a joint at angles (rad)."""
@@ -154,30 +159,29 @@ class Pneumatics(eqx.Module):
         torque = jnp.broadcast_to(self.joint.torque, angle.shape)
         return commanded(self.pair, angle, load, torque)
 
-    def commanded(self, command: PerJoint) -> Float[Array, "2 joint"]:
+    def commanded(self, command: PerJoint) -> Supply:
         """Pressures with which the controller holds commanded angles (rad), Pa."""
         pressures = self.asked(self._of(command)).pressures
         return self._in(command, jnp.moveaxis(pressures, -1, 0))
 
-    def torque(self, angles: PerJoint, pressures: Float[Array, "2 joint"]) -> PerJoint:
-        """Torque on each joint at pressures (Pa), N m; 0 in a joint without muscles."""
-        angle = self._of(angles)
+    def torque(self, at: JointState) -> PerJoint:
+        """Torque on each joint at the pressures inside, N m; 0 in a joint without muscles."""
+        angle, pressures = self._of(at.angles), self._of(self.inside(at))
         bent = self._limited(angle)
-        torque = net_torque(self.pair, self._of(pressures), jnp.zeros(()), bent, bent >= 0)
+        torque = net_torque(self.pair, pressures, jnp.zeros(()), bent, bent >= 0)
         torque = torque - self.drive.stop_stiffness * (angle - bent)
         if self.drive.passive_stiffness is not None:
             torque = torque - self.drive.passive_stiffness * angle
-        return self._in(angles, torque)
+        return self._in(at.angles, torque)
 
-    def pull(self, angles: PerJoint, pressures: Float[Array, "2 joint"]) -> PerJoint:
-        """The part of the torque that the pressures do, N m."""
-        bent = self._limited(self._of(angles))
-        first, second = muscle_torques(self.pair, self._of(pressures), bent, bent >= 0)
-        return self._in(angles, first - second)
+    def slopes(self, at: JointState) -> tuple[PerJoint, PerJoint]:
+        """Stiffness at the pressures inside, N m/rad; no damping."""
+        stiffness = -slope(lambda x: self.torque(at._replace(angles=x)), at.angles)
+        return stiffness, jnp.zeros_like(stiffness)
 
-    def energy(self, angles: PerJoint) -> PerJoint:
+    def energy(self, at: JointState) -> PerJoint:
         """Energy that joints store whatever the pressures are, J; 0 in the straight arm."""
-        angle, correction = self._of(angles), self.joint.correction
+        angle, correction = self._of(at.angles), self.joint.correction
         bent = self._limited(angle)
         beyond = angle - bent
         energy = resistance_energy(correction, bent)
@@ -185,17 +189,17 @@ class Pneumatics(eqx.Module):
         energy = energy + self.drive.stop_stiffness * beyond**2 / 2
         if self.drive.passive_stiffness is not None:
             energy = energy + self.drive.passive_stiffness * angle**2 / 2
-        return self._in(angles, energy)
+        return self._in(at.angles, energy)
 
-    def stiffest(self, count: int) -> PerJoint:
-        """Bound of the stiffness that any pressures give each of so many joints, N m/rad.
+    def stiffest(self, at: JointState) -> PerJoint:
+        """Bound of the stiffness that any pressures give joints, N m/rad.
 
         It is that of the range. A motion that reaches the stop is left to the control of errors.
         """
         stiffest = stiffest_pair(self.pair)
         if self.drive.passive_stiffness is not None:
             stiffest = stiffest + self.drive.passive_stiffness
-        return self._in(jnp.zeros(count), jnp.full(len(self.joints), stiffest))
+        return self._in(at.angles, jnp.full(len(self.joints), stiffest))
 
     def _limited(self, angle: Array) -> Array:
         # Not `clip`, whose slope is a half at 60 deg itself, a usual command.
