@@ -7,6 +7,7 @@ that leave every residual unchanged; then any generalised inverse of J^T J gives
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -327,8 +328,9 @@ def responses(
         varied = tuple(values[0]) if values else ()
         changed = [[values[index][path] for path in varied] for index in members]
         rows = jnp.asarray(np.asarray(changed, dtype=float), jnp.result_type(float))
-        shared = (model, paths, steps, channels, sizes, varied, tuple(ties))
         lengths = np.asarray([len(runs[i].observations[channels[0]]) for i in members])
+        samples = int(np.max(lengths))
+        shared = (model, paths, steps, channels, sizes, varied, tuple(ties), samples)
         batch = Batch(_respond, (inputs, rows), shared, lengths, chunk_size(len(members)))
         (answer,) = run_on_all_cores([batch])
         tables, blocks, successful = answer
@@ -356,7 +358,33 @@ def _name(direction: Direction) -> tuple[str, tuple[float, ...]]:
     return direction.path, tuple(np.ravel(direction.step).tolist())
 
 
-@program
+def _amounts(paths: tuple[str, ...], own: tuple[tuple[str, int], ...]) -> int:
+    """What responses are differentiated by, in number."""
+    return len(paths) + sum(size for _, size in own) if paths else 0
+
+
+def _responses_like(
+    prepared_runs: tuple[Any, Array],
+    model: AbstractModel,
+    paths: tuple[str, ...],
+    steps: tuple[Array, ...],
+    channels: tuple[str, ...],
+    own: tuple[tuple[str, int], ...],
+    varied: tuple[str, ...],
+    ties: tuple[Tie, ...],
+    samples: int,
+) -> tuple[Any, ...]:
+    del model, steps, varied, ties
+    rows = prepared_runs[1]
+    count, table = len(rows), (samples, len(channels))
+    return (
+        jax.ShapeDtypeStruct((count, *table), rows.dtype),
+        jax.ShapeDtypeStruct((count, _amounts(paths, own), *table), rows.dtype),
+        jax.ShapeDtypeStruct((count,), bool),
+    )
+
+
+@functools.partial(program, like=_responses_like)
 def _respond(
     prepared_runs: tuple[Any, Array],
     model: AbstractModel,
@@ -366,10 +394,15 @@ def _respond(
     own: tuple[tuple[str, int], ...],
     varied: tuple[str, ...],
     ties: tuple[Tie, ...],
+    samples: int,
 ) -> tuple[Array, Array, Array]:
-    """Tables (run, sample, channel), their derivatives (run, amount, sample, channel), success."""
+    """Tables (run, sample, channel), their derivatives (run, amount, sample, channel), success.
+
+    There are `samples` of the longest run, which decides the shapes.
+    """
+    del samples
     inputs, rows = prepared_runs
-    count = len(paths) + sum(size for _, size in own) if paths else 0
+    count = _amounts(paths, own)
     differentiated = (*dict.fromkeys(paths), *(path for path, _ in own))
     ready = capabilities.for_derivatives(model, differentiated) if count else model
 
