@@ -117,23 +117,27 @@ def _say(line: str) -> None:
 class Progress:
     """One line an iteration on standard error, as it happens.
 
-    Values (SI) are multiplied by the `factors` of their paths: their units are then those of the
-    table at the end. `left` says how long it may still take.
+    Values have the units of the table at the end, and are those of what was asked alone. `left`
+    says how long it may still take.
     """
 
-    def __init__(self, factors: Mapping[str, float], left: TimeLeft | None = None) -> None:
-        self._factors = factors
+    def __init__(self, setup: "Setup", left: TimeLeft | None = None) -> None:
+        from ..fitting import column_factors
+
+        self._factors = column_factors(setup.model)
+        self._left_out = setup.nuisances
         self._left = left
         self._widths: list[int] = []
         _say("compiling ...")
 
     def __call__(self, iteration: "Iteration") -> None:
+        shown = {p: value for p, value in iteration.parameters.items() if p not in self._left_out}
         values = [
             f"{value * self._factors.get(path.partition('[')[0], 1.0):.5g}"
-            for path, value in iteration.parameters.items()
+            for path, value in shown.items()
         ]
         if not self._widths:
-            self._head(list(iteration.parameters))
+            self._head(list(shown))
         step, taken = f"{iteration.step:.1e}", "yes" if iteration.accepted else "no"
         made = ["", ""] if iteration.number == 0 else [step, taken]
         self._row([str(iteration.number), f"{iteration.cost:.6g}", *made, *values])
@@ -170,10 +174,8 @@ class Progress:
 
 def _in_windows(setup: "Setup") -> Progress:
     """The progress of a fit in windows, which only says where that of whole runs begins."""
-    from ..fitting import column_factors
-
     _say(f"first in {len(setup.runs)} windows")
-    return Progress(column_factors(setup.model))
+    return Progress(setup)
 
 
 def _of_windows(result: "FitResult") -> None:
@@ -277,7 +279,6 @@ def run_fit(
 ) -> int:
     """Fit a task, write its result and show it, by the options of these names; the exit status."""
     configure()
-    from ..fitting import column_factors
     from ..recordings import stored_result, write_files
     from ..report import PAGE, check_figures, check_folder, check_page, report_page, write_figures
     from ..studies import choice_hint
@@ -302,7 +303,7 @@ def run_fit(
         progress = None
         if not quiet:
             left = TimeLeft(settings.max_iterations, settings.starts, settings.budget_s)
-            progress = Progress(column_factors(ready.setup.model), left)
+            progress = Progress(ready.setup, left)
             if resume:
                 typer.echo(f"going on where {journal.path} ends", err=True)
         try:
@@ -406,6 +407,11 @@ class _Settings(TypedDict):
     per_run: Annotated[Texts, "PATH", "Fit a value of it for each run."]
     group: Annotated[Texts, "PATH=RUN,RUN", "Fit a value that these share."]
     uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a held parameter."]
+    nuisances: Annotated[
+        bool | None,
+        "Free what is always uncertain of camera and arm, with a prior (default), or hold it.",
+        "--nuisances/--no-nuisances",
+    ]
     channels: Annotated[Texts, "NAME", "Fit this channel only, without its unit: link20_z."]
     hold_out: Annotated[
         Texts, "NAME", "Judge by it, do not fit it: a run, a channel, last (fifth)."

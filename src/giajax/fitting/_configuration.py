@@ -29,6 +29,7 @@ from ..schema.parameters import (
 )
 from ._coordinates import Layout, members, sharing
 from ._losses import AbstractLoss, check_loss, loss_of
+from ._nuisances import with_nuisances
 from ._weights import prior_of
 
 Module = TypeVar("Module", bound=eqx.Module)
@@ -256,6 +257,11 @@ class Setup:
                 starts[places[column]] = between(known[path], *bounds) if path in known else value
         return starts
 
+    @property
+    def nuisances(self) -> tuple[str, ...]:
+        """Paths of what is free because it is always uncertain."""
+        return tuple(self.config.get("nuisances", ()))
+
     @functools.cached_property
     def loss(self) -> AbstractLoss:
         """How a large residual counts."""
@@ -466,16 +472,21 @@ def set_up(
         )
     groups = sharing(runs, settings.per_run, settings.groups)
     reached = {} if begin is None else begin.values_for(model)
+    settings, nuisances = with_nuisances(model, runs, settings)
     setup = _resolved(model, runs, settings, groups, reached)
     check_loss(setup.loss)
     _check_determined(setup)
     _check_together(setup)
     own = {} if begin is None else begin.own
-    return dataclasses.replace(setup, config=_config(setup, groups, begin), own=own)
+    config = _config(setup, groups, begin, nuisances)
+    return dataclasses.replace(setup, config=config, own=own)
 
 
 def _config(
-    setup: Setup, groups: Mapping[str, Sequence[Sequence[str]]], begin: WarmStart | None
+    setup: Setup,
+    groups: Mapping[str, Sequence[Sequence[str]]],
+    begin: WarmStart | None,
+    nuisances: Sequence[str],
 ) -> dict[str, Any]:
     """The settings as they were resolved, as plain data: `config` of the result."""
     settings, integration = setup.settings, capabilities.integration(setup.model)
@@ -483,6 +494,7 @@ def _config(
         "priors": {path: prior.contents() for path, prior in settings.known.items()},
         "bounds": settings.bounds,
         "ties": settings.ties,
+        "nuisances": list(nuisances),
         "groups": groups,
         "begin": None if begin is None else dataclasses.asdict(begin),
         "optimiser": _in_words(settings.optimiser),

@@ -5,11 +5,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import erfc, stdtrit
 
 from ..models import AbstractModel, parameter_values
+from ..noise import PRIOR_LEVEL, Reason
 from ..runtime.records import finite_or_none
-from ..runtime.text import one_of
+from ..runtime.text import format_estimate, one_of
 from ..schema import Declaration
 from ..schema.parameters import Parameter, declared
 from ._checks import Curvature
@@ -17,6 +18,7 @@ from ._records import Estimate, OwnEstimate
 from ._statistics import Statistics, combinations
 from ._steps import FitState
 from ._uncertainty import largest_correlations
+from ._weights import prior_of
 
 # What the data of a fit cannot tell, as codes with a sentence and advice.
 #
@@ -78,7 +80,8 @@ def findings(
 
 def _without_response(state: FitState, statistics: Statistics) -> Iterator[Finding]:
     dead = np.setdiff1d(np.arange(state.problem.size), statistics.alive)
-    names = tuple(statistics.labels[i] for i in dead)
+    labels = (statistics.labels[i] for i in dead)
+    names = tuple(name for name in labels if name not in state.setup.nuisances)
     if names:
         yield Finding(
             "no_response",
@@ -164,6 +167,8 @@ def _priors(state: FitState, statistics: Statistics) -> Iterator[Finding]:
                 f"the data move {name} by {abs(row):.2g} standard deviations of its prior",
                 "ask whether the prior is right, or the model wrong elsewhere",
             )
+        elif name in state.setup.nuisances:
+            continue
         elif statistics.prior_shares.get(index, 0.0) > _MOSTLY:
             share = statistics.prior_shares[index]
             yield Finding(
@@ -172,6 +177,45 @@ def _priors(state: FitState, statistics: Statistics) -> Iterator[Finding]:
                 f"{share:.0%} of what is known of {name} is its prior",
                 "take its value as what was known before, not as a result",
             )
+
+
+def beyond_usual(state: FitState, statistics: Statistics) -> Reason | None:
+    """What is far from its usual value, as chance does not explain, and moves a parameter.
+
+    Its estimate less the centre of the prior has the variance of the prior less that of the
+    estimate. Without the prior it would be farther out, and so would what is correlated with it.
+    """
+    priors, found = state.problem.priors, []
+    nuisances = state.setup.nuisances
+    rows = np.asarray(state.inner.residual, dtype=float)
+    for index, row in zip(priors.columns, rows[len(rows) - len(priors.columns) :], strict=True):
+        name, share = statistics.labels[index], statistics.prior_shares.get(index, 1.0)
+        if name not in nuisances or index not in statistics.determined or share > 1 - 1e-6:
+            continue
+        chance = len(nuisances) * float(erfc(abs(row) / np.sqrt(2 * (1 - share))))
+        place = statistics.determined.index(index)
+        further = abs(row) * np.sqrt(share) / (1 - share)
+        moved = further * np.abs(statistics.correlation[place])
+        for other, at in enumerate(statistics.determined):
+            if statistics.labels[at] in nuisances:
+                moved[other] = 0.0
+        most = int(np.argmax(moved))
+        if chance < PRIOR_LEVEL and moved[most] > 1:
+            error = statistics.standard_errors[index]
+            value, deviation = format_estimate(float(statistics.values[index]), error)
+            path = statistics.labels[statistics.determined[most]]
+            free = [parameter.path for parameter in state.setup.parameters]
+            asked = [each for each in free if each not in nuisances]
+            command = " ".join(f"--free {each}" for each in [*asked, name])
+            how = "" if "[" in name else f", or fit it without a prior, by {command}"
+            sentence = (
+                f"{name} is {value} +- {deviation}, which is {abs(row):.2g} deviations from what "
+                f"is usual, and moves {path} by {moved[most]:.2g} of its standard errors if it is "
+                f"right: ask what else looks like it, state what is known of it in "
+                f"[uncertainty]{how}"
+            )
+            found.append(Reason("prior", sentence, min(chance, 1.0), float(moved[most])))
+    return min(found, key=lambda reason: reason.p_value, default=None)
 
 
 def _bent(statistics: Statistics, curvatures: Mapping[int, Curvature]) -> Iterator[Finding]:
@@ -200,6 +244,7 @@ def _short(correlation_times: Sequence[tuple[str, float]]) -> Iterator[Finding]:
             )
 
 
+_NOISE_ALONE = 0.95  # a part of an error above this is not worth telling from it
 _NEARLY_THE_SAME = 0.98  # parameters that are more correlated than this are worth a remark
 
 
@@ -251,6 +296,7 @@ def _free(
         sandwich_error=finite_or_none(statistics.sandwich.get(index)),
         prior_share=finite_or_none(statistics.prior_shares.get(index)),
         sources=statistics.sources.get(index, {}),
+        noise_error=finite_or_none(statistics.noise_errors.get(index)),
         **common,
     )
 
@@ -279,6 +325,11 @@ def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, Own
 
 def _remark(state: FitState, statistics: Statistics, index: int, error: float | None) -> str:
     """What a reader must know before using the value of a free parameter; may be empty."""
+    if statistics.labels[index] in state.setup.nuisances:
+        prior = prior_of(state.setup.priors, statistics.labels[index])
+        assert prior is not None
+        spread = f"x/ {prior.factor:.3g}" if prior.factor else f"+- {prior.deviation:.2g}"
+        return f"always uncertain; known before as {prior.value:.4g} {spread}"
     if not np.asarray(state.active)[index]:
         return "not determined: no channel responds to it; left at its start"
     for group in statistics.together:
@@ -303,6 +354,10 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
         partner, correlation = partners[row]
         other = statistics.labels[statistics.determined[partner]]
         return f"correlation {correlation:+.3f} with {other}"
+    by_noise = statistics.noise_errors.get(index)
+    if by_noise is not None and by_noise < _NOISE_ALONE * error:
+        rest = np.sqrt(error**2 - by_noise**2)
+        return f"{by_noise:.2g} by noise, {rest:.2g} by what is always uncertain"
     return ""
 
 

@@ -21,7 +21,7 @@ from ..runtime.text import InputError, keywords_listed
 from ._checks import Checks, checks
 from ._configuration import Setup, set_up
 from ._derived import derived_estimates, with_tied
-from ._estimates import estimates, findings, own_estimates
+from ._estimates import beyond_usual, estimates, findings, own_estimates
 from ._loop import Budget, advance_alone, descend
 from ._problem import Problem, predictions_by_run
 from ._records import ChannelFit, Correlation, Iteration, NoiseFit, OwnEstimate, RunFit, Seconds
@@ -49,9 +49,11 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         status = reason = "interrupted"
         message += ", then interrupted before its result was checked"
     predictions = predictions_by_run(problem, state.inner.aux, setup.runs)
+    found = verdict(state, status, known.prior_degrees_of_freedom)
+    doubt = beyond_usual(state, known)
     active = np.asarray(state.active)
     places = zip(problem.paths, problem.positions, strict=True)
-    moved = [path for path, at in places if np.any(active[list(at)])]
+    moved = [p for p, at in places if np.any(active[list(at)]) and p not in setup.nuisances]
     usual = float(np.median(state.step_seconds[1:] or [0.0]))
     compiling = max(state.step_seconds[0] - usual, 0.0)
     elapsed = time.perf_counter() - began
@@ -63,7 +65,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         parameters=with_tied(estimates(state, known, model), derived, problem.ties),
         noise=_noise(state, known),
         integration=integration_of(state),
-        verdict=verdict(state, status, known.prior_degrees_of_freedom),
+        verdict=found if doubt is None else found.doubted(doubt),
         derived=derived,
         findings=findings(state, known, done.curvatures, _lengths(state)),
         correlation=_correlation(known, problem),

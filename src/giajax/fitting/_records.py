@@ -5,6 +5,7 @@ them.
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -130,6 +131,8 @@ class Estimate:
             the estimate over that of the prior; None without a prior.
         sources: by recording, how many times larger the standard error would be without it, to
             first order; None where the parameter would not be determined. Empty for one recording.
+        noise_error: what the standard error would be if the nuisances of the fit were known, which
+            is the noise's part; None where it has none.
     """
 
     value: Numbers
@@ -144,6 +147,14 @@ class Estimate:
     sandwich_error: float | None = None
     prior_share: float | None = None
     sources: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
+    noise_error: float | None = None
+
+    @property
+    def nuisance_error(self) -> float | None:
+        """The part of the standard error that comes from the nuisances of the fit."""
+        if self.standard_error is None or self.noise_error is None:
+            return None
+        return math.sqrt(max(self.standard_error**2 - self.noise_error**2, 0.0))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -263,6 +263,16 @@ class FitResult(ShownAsTable):
         return {path: estimate for path, estimate in self.parameters.items() if estimate.free}
 
     @property
+    def nuisances(self) -> tuple[str, ...]:
+        """Paths of what was free because it is always uncertain, and not because it was asked."""
+        return tuple(self.config.get("nuisances", ()))
+
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """Paths of what was free because it was asked."""
+        return tuple(path for path in self.free if path not in self.nuisances)
+
+    @property
     def shown(self) -> dict[str, Estimate]:
         """The free parameters, what follows from them, and those that the settings fix.
 
@@ -270,7 +280,13 @@ class FitResult(ShownAsTable):
         """
         chosen = [path.partition("[")[0] for path in self.config.get("fix", {})]
         held = {path: self.parameters[path] for path in chosen if path in self.parameters}
-        return {**self.free, **rows_of_runs(self.runs, self.free), **self.derived, **held}
+        free, nuisances = self.free, set(self.nuisances)
+        asked = {path: one for path, one in free.items() if path not in nuisances}
+        others = {path: one for path, one in free.items() if path in nuisances}
+        # What follows from these alone is shown by them.
+        follows = {path.partition("[")[0] for path in nuisances}
+        derived = {p: one for p, one in self.derived.items() if p.partition("[")[0] not in follows}
+        return {**asked, **rows_of_runs(self.runs, asked), **derived, **held, **others}
 
     def plot(self, run: Run | None = None) -> "Figure":
         """The picture of what a fitted run recorded and of what the fit predicts of it.
@@ -346,9 +362,9 @@ class FitResult(ShownAsTable):
                 f"INADEQUATE MODEL: {reasons[0].sentence}; {message}; the standard errors are "
                 "conditional on a model that does not describe the data"
             )
-        if reasons and reasons[0].code == "suspect":
+        if reasons and reasons[0].code in ("suspect", "prior"):
             # What to do about it stands in the verdict.
-            return f"DOUBTFUL MODEL: {reasons[0].sentence.partition(': fit it')[0]}; {message}"
+            return f"DOUBTFUL MODEL: {reasons[0].sentence.partition(': ')[0]}; {message}"
         return message
 
 

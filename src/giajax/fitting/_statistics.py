@@ -53,6 +53,8 @@ class Statistics:
         prior_shares: how much of what is known of a parameter is its prior's: the variance of the
             estimate, were the noise as stated, over that of the prior.
         sources: what each recording is worth, by parameter; see `_sources`.
+        noise_errors: what the standard errors would be if the nuisances were known, where there are
+            any.
         bread: inverse of the second derivative of the cost, columns of `alive`: what the cost says
             of the parameters, where `covariance` is what the residuals say.
     """
@@ -76,6 +78,7 @@ class Statistics:
     prior_shares: dict[int, float] = dataclasses.field(default_factory=dict)
     sources: dict[int, dict[str, float | None]] = dataclasses.field(default_factory=dict)
     bread: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    noise_errors: dict[int, float] = dataclasses.field(default_factory=dict)
 
 
 def statistics(state: FitState) -> Statistics:
@@ -108,8 +111,9 @@ def statistics(state: FitState) -> Statistics:
     covariance = by_noise.covariance[np.ix_(rows, rows)]
     errors = np.sqrt(np.diag(covariance))
     standard_errors = {i: float(error) for i, error in zip(determined, errors, strict=True)}
+    names = tuple(labels(problem, state.setup.runs))
     return Statistics(
-        labels=tuple(labels(problem, state.setup.runs)),
+        labels=names,
         values=state.values(),
         alive=alive,
         together=together,
@@ -133,7 +137,25 @@ def statistics(state: FitState) -> Statistics:
         prior_shares=shares,
         sources=sources(state, jacobian, alive),
         bread=spread.bread,
+        noise_errors=_noise_errors(names, determined, covariance, state.setup.nuisances),
     )
+
+
+def _noise_errors(
+    names: Sequence[str],
+    determined: tuple[int, ...],
+    covariance: np.ndarray,
+    nuisances: Sequence[str],
+) -> dict[int, float]:
+    """What the standard errors of what was asked would be if the nuisances were known."""
+    known = np.array([names[index] in nuisances for index in determined], dtype=bool)
+    if not np.any(known) or np.all(known):
+        return {}
+    across = covariance[np.ix_(known, ~known)]
+    inner = np.linalg.pinv(covariance[np.ix_(known, known)], rcond=1e-12, hermitian=True)
+    alone = np.diag(covariance)[~known] - np.sum(across * (inner @ across), axis=0)
+    asked = np.asarray(determined)[~known].tolist()
+    return dict(zip(asked, np.sqrt(np.maximum(alone, 0.0)).tolist(), strict=True))
 
 
 def _of_each(

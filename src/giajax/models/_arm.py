@@ -17,7 +17,15 @@ from ..runtime.arrays import Array, Float, Scalar, on_device
 from ..runtime.programs import program
 from ..runtime.solvers import as_text, from_text
 from ..runtime.text import InputError
-from ..schema import CAMERA, INITIAL, JOINTS, CommandSection, InitialSection, WindSection
+from ..schema import (
+    CAMERA,
+    INITIAL,
+    JOINTS,
+    CommandSection,
+    InitialSection,
+    Prior,
+    WindSection,
+)
 from ..schema.parameters import inline, parameter, replace
 from ..simulation import (
     Pressures,
@@ -42,6 +50,7 @@ from ._arm_conditions import (
     preset_conditions,
     scale_conditions,
     sensor_conditions,
+    usual_uncertainty,
 )
 from ._arm_definition import (
     SECTIONS,
@@ -404,6 +413,11 @@ class ArmModel(AbstractModel):
             late = {CAMERA.delay.path: 0.0, JOINTS.drive_lag.path: jnp.maximum(delay, 0)}
             others["joints.drive_lag = camera.delay, camera.delay = 0"] = replace(self, late)
         return others
+
+    def uncertain(self, runs: Sequence[Run]) -> dict[str, Prior]:
+        """Clock and scale of a camera that nobody calibrated, and the diameter of the links."""
+        own = [run for run in runs if run.model == self.kind]
+        return usual_uncertainty(self.arm, self.sensors, own) if own else {}
 
     def integration(self) -> Integration:
         """Its solver, and the relative and absolute tolerance."""

@@ -22,14 +22,18 @@ from ..runtime.text import InputError
 from ..schema import (
     AIR,
     BUOYANCY,
+    CAMERA,
     DRIVE,
     JOINT_MEMORY,
+    LINKS,
     ArmSection,
     InitialSection,
+    Prior,
     from_default_preset,
     preset_sentence,
 )
 from ..schema.parameters import declared, find, get, replace
+from ._arm_sensors import Sensors
 from ._protocol import AbstractModel
 
 # Scaling all of these together leaves every motion unchanged: only ratios are determined.
@@ -112,6 +116,40 @@ def preset_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) -> lis
 
     held = [path for path, value in taken.items() if is_taken(path, value)]
     return [preset_sentence(held)] if held else []
+
+
+# What is known of a camera and an arm that nobody calibrated: exposure, transport and the start of
+# a recording by hand take a frame and 50 ms at most; 29.97 frames a second are called 30; a scale
+# of known length is read to a hundredth, as is the width of a balloon.
+_LATEST = 0.05
+_CLOCK_RATE = 1e-3
+_SIZE = 1e-2
+
+
+def usual_uncertainty(arm: Arm, sensors: Sensors, runs: Sequence[Run]) -> dict[str, Prior]:
+    """What of camera and links is never known exactly; what a sidecar states of a camera is.
+
+    The delay is expected in the middle of what it may be: half of a frame and 25 ms, and as much
+    is its deviation.
+    """
+    kinds = {run.channels[name].kind for run in runs for name in run.observations}
+    rows = sensors.rows(kinds).values()
+    positions = any(shows is sensors.camera for _, shows in rows)
+    pictures = any(run.channels[n].quantity == "pixel" for run in runs for n in run.observations)
+    frames = [float(np.median(np.diff(run.times))) for run in runs if run.times is not None]
+    known: dict[str, Prior] = {}
+    if (positions or pictures) and frames:
+        half = (max(frames) + _LATEST) / 2
+        known[CAMERA.delay.path] = Prior(half, deviation=half)
+        known[CAMERA.clock_rate.path] = Prior(0.0, deviation=_CLOCK_RATE)
+    if positions:
+        known[CAMERA.scale.path] = Prior(1.0, deviation=_SIZE)
+    stated = declared(sensors)
+    known = {path: prior for path, prior in known.items() if path not in stated}
+    if arm.buoyancy is not None or float(arm.air.drag_coefficient) > 0:
+        diameter = float(np.asarray(arm.links.diameter).flat[0])
+        known[LINKS.diameter.path] = Prior(diameter, deviation=_SIZE * diameter)
+    return known
 
 
 def scale_conditions(

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from ..recordings import Run
 from ..runtime.arrays import Scalar
 from ..runtime.text import InputError
+from ..schema import Prior
 from ._protocol import AbstractModel, Scene
 
 T = TypeVar("T")
@@ -100,6 +101,15 @@ def derived(model: AbstractModel) -> dict[str, Derived]:
     standard error. By name, which is no path of a parameter.
     """
     return _asked(model, "derived", {})
+
+
+def uncertain(model: AbstractModel, runs: Sequence[Run]) -> dict[str, Prior]:
+    """What of devices and constants is never known exactly, by path, with what is known of it.
+
+    A fit frees it. The prior of an array is that of its first element, and the others change in
+    proportion. Nothing without the method.
+    """
+    return _asked(model, "uncertain", {}, runs)
 
 
 def unseen(

@@ -26,6 +26,7 @@ from ._restricted import (
 from ._verdict import (
     DIFFERENCES as DIFFERENCES,
     OUTLIER as OUTLIER,
+    PRIOR_LEVEL as PRIOR_LEVEL,
     SUSPECT_LEVEL as SUSPECT_LEVEL,
     Reason as Reason,
     Series as Series,

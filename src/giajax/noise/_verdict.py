@@ -99,7 +99,8 @@ class Reason:
 
     Attributes:
         code: "noise", "correlation", "differences", "drift", "runs" or "prediction"; "suspect" of
-            what the fit held or left out, "end" of a fit that has no optimum, "cells" of too few.
+            what the fit held or left out, "prior" of what is far from what is usual, "end" of a fit
+            that has no optimum, "cells" of too few.
         sentence: what is seen, and where.
         p_value: chance of as much from the noise alone, corrected for how often was looked.
         size: how many times the noise the residuals are for this reason, infinite where the model
@@ -172,9 +173,11 @@ class Verdict:
 # (Bonferroni), so that noise alone gives a reason with the chance `LEVEL` at most.
 
 # These five tests and that of what was held out (`giajax.fitting`) together have a chance of 1.2 %
-# to accuse an adequate model, and what it holds or leaves out (`giajax.suspects`) one of 0.8 %.
+# to accuse an adequate model, what it holds or leaves out (`giajax.suspects`) one of 0.6 %,
+# and what is always uncertain, by its priors, one of 0.2 %.
 LEVEL = 0.012 / 6
-SUSPECT_LEVEL = 0.008
+SUSPECT_LEVEL = 0.006
+PRIOR_LEVEL = 0.002
 
 SIZE = 1.1  # noise up by a tenth is worth a word
 

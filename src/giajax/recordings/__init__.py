@@ -22,6 +22,7 @@ from ._fit_sections import (
     FitSettings as FitSettings,
     Loss as Loss,
     NoiseModel as NoiseModel,
+    PriorEntry as PriorEntry,
     StartsKeywords as StartsKeywords,
     TaskKeywords as TaskKeywords,
     deviation_of as deviation_of,

@@ -35,7 +35,7 @@ from ..schema import (
     key,
 )
 from ._channels import column_table, infer_model
-from ._fit_sections import Figure, FitSettings, Noise
+from ._fit_sections import Figure, FitSettings, Noise, Uncertainty
 from ._table import Table, read_table
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -302,6 +302,7 @@ class Definition(_Sections):
     """
 
     noise: Noise = Field(default_factory=Noise)
+    uncertainty: Uncertainty = Field(default_factory=Uncertainty)
     truth: dict[str, Any] = key(
         "a table", "what the maker of the data knows; never read by a fit", default={}
     )

@@ -47,6 +47,8 @@ def seconds_of(duration: str) -> float:
     return float(duration[:-1]) * _SECONDS[duration[-1]]
 
 
+Deviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
 _NOISE = "a positive number, the standard deviation"
 _TIME = "a positive number of seconds"
 
@@ -133,6 +135,33 @@ class Noise(Section):
                 )
             stated[channel] = name
         return self
+
+
+class Uncertainty(Section):
+    """`[uncertainty]`: how surely devices and constants are known, as standard deviations by path.
+
+    In SI, and 0 of what is exact. A fit frees what is uncertain, with such a prior; of what is not
+    stated the model knows what is usual.
+    """
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
+    __pydantic_extra__: dict[str, Deviation | list[Deviation]] = Field(init=False)
+
+    defaults: bool = key(
+        "true or false",
+        "false: exact but for what stands here; true: where nothing stands, what is usual",
+        default=True,
+    )
+
+    @property
+    def deviations(self) -> dict[str, float | list[float]]:
+        """Standard deviations by path, SI."""
+        return dict(self.__pydantic_extra__ or {})
+
+    @model_validator(mode="before")
+    @classmethod
+    def _unquoted_paths_are_paths(cls, table: Any) -> Any:
+        return flat(table) if isinstance(table, Mapping) else table
 
 
 class PriorEntry(Section):
@@ -252,6 +281,11 @@ class FitSettings(Section):
         "Standard deviations of held parameters.",
         default={},
     )
+    nuisances: bool = key(
+        "true or false",
+        "Free what is always uncertain of camera and arm, with a prior, or (false) hold it.",
+        default=True,
+    )
     channels: list[Name] | None = key(
         "a list of channel names, without unit",
         "Fit these channels only, without their unit: link20_z.",
@@ -328,10 +362,14 @@ class FitSettings(Section):
 
     @classmethod
     def shared_with(cls, config: Mapping[str, Any]) -> Self:
-        """What a later fit of the same runs has in common with that of a result's `config`."""
+        """What a later fit of the same runs has in common with that of a result's `config`.
+
+        What was uncertain there is among its free parameters.
+        """
         names = ("priors", "bounds", "ties", "groups", "loss", "noise_model", "noise_per_run")
+        known = {name: config[name] for name in names if name in config}
         try:
-            return cls.model_validate({name: config[name] for name in names if name in config})
+            return cls.model_validate({**known, "nuisances": False})
         except ValidationError as error:
             where = ".".join(map(str, error.errors()[0]["loc"]))
             raise InputError(f"the stored fit has no usable {where}: fit its data anew") from None
@@ -384,6 +422,7 @@ class FitKeywords(TypedDict, total=False):
     ties: Mapping[str, str] | None
     per_run: Sequence[str] | None
     groups: Mapping[str, Sequence[Sequence[str]]] | None
+    nuisances: bool | None
     loss: Any
     noise_model: str | None
     noise_per_run: bool | None

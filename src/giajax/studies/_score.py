@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
+from scipy.linalg import solve_banded
 from scipy.special import fdtrc, stdtr
 
 from ..fitting import (
@@ -461,9 +462,6 @@ def _spread(
     rest: Projected, left: np.ndarray, columns: np.ndarray, tests: int
 ) -> tuple[np.ndarray, float]:
     """Covariance of the score under the noise that is left, and its degrees of freedom."""
-    # Slow to import, and only a fit whose model is inadequate comes here.
-    from scipy.signal import lfilter
-
     effective = 0.0
     # A prior has the deviation that it states, and no neighbour.
     of_priors = columns[rest.known]
@@ -477,8 +475,9 @@ def _spread(
         variance = max(float(np.sum(noise**2)) / max(share * count, 1.0), 1.0)
         rho = _neighbours(noise, measured) if timed else 0.0
         part = np.where(measured[:, None], columns[place], 0.0)
-        # What each value has in common with all that came before it.
-        before = lfilter([0.0, rho], [1.0, -rho], part, axis=0)
+        # What each value has in common with all that came before it: y[t] = rho (y[t-1] + x[t-1]).
+        bands = np.stack([np.ones(len(part)), np.full(len(part), -rho)])
+        before = solve_banded((1, 0), bands, np.pad(rho * part[:-1], ((1, 0), (0, 0))))
         common = part.T @ before
         spread += variance * (part.T @ part + common + common.T)
         effective += count * (1 - rho) / (1 + rho)

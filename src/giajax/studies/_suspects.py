@@ -113,7 +113,8 @@ class Suspects:
         if verdict.status == "inadequate":
             return verdict
         for row in self.promising:
-            path, by = max(row.moves.items(), key=lambda each: abs(each[1]), default=("", 0.0))
+            asked = ((path, by) for path, by in row.moves.items() if path in result.asked)
+            path, by = max(asked, key=lambda each: abs(each[1]), default=("", 0.0))
             if (row.p_value or 0.0) < SUSPECT_LEVEL and abs(by) > 1:
                 return verdict.doubted(
                     Reason("suspect", _doubt(row, path, by, result), row.p_value or 0.0, abs(by))
@@ -140,7 +141,7 @@ def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
     plain = isinstance(row.value, float) and row.kind != "factor"
     held = f"held at {row.value:.4g}{unit}" if plain else "held"
     times = "its value times " if row.kind == "factor" else ""
-    free = " ".join(f"--free {each}" for each in [*result.free, row.path])
+    free = " ".join(f"--free {each}" for each in [*result.asked, row.path])
     return (
         f"{row.path}{also} is {held}, and the residuals ask for {times}{shown}{unit}, which moves "
         f"{path} by {by:+.2g} of its standard errors: fit it, too, by {free}"

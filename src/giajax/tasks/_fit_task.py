@@ -9,7 +9,7 @@ from ..recordings import Definition, FitSettings, TaskKeywords, fit_settings, re
 from ..runtime.plugins import check_sources
 from ..runtime.records import plain_data
 from ..runtime.text import InputError
-from ._journal import checksums_of, differences, read_journal, unchanged
+from ._journal import checksums_of, differences, known_to, read_journal, unchanged
 from ._stored import check_config, reached_by, repeatable, without
 
 if TYPE_CHECKING:
@@ -204,6 +204,7 @@ class FitTask:
         folder, stored = repeatable(path)
         check_sources(stored["versions"], f"{stored['model']} {stored['config']}")
         config, fields = stored["config"], unchanged(stored["task"], folder)
+        fields["definition"] = known_to(config, fields["definition"])
         out = folder.with_name(f"{folder.resolve().name}-again")
         return cls(**fields, resolved=config, earlier=folder).on_top(
             max_iterations=config.get("max_iterations"), budget="", out=out
@@ -221,7 +222,9 @@ class FitTask:
         journal = read_journal(folder)
         if journal is None:
             raise InputError(f"{folder} has no journal of a fit: give the folder of one")
-        return cls(**unchanged(journal.head["task"], folder)).on_top(out=folder)
+        fields = unchanged(journal.head["task"], folder)
+        fields["definition"] = known_to(journal.head["config"], fields["definition"])
+        return cls(**fields).on_top(out=folder)
 
     def on_top(
         self,

@@ -103,7 +103,8 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     before, after = before.get("fit", {}), after.get("fit", {})
     for key in sorted({*before, *after} - {*_ASIDE, "data", "validation"}):
         # What is left out and what is empty is the same.
-        if (before.get(key) or None) != (after.get(key) or None):
+        usual = True if key == "nuisances" else None
+        if (before.get(key, usual) or None) != (after.get(key, usual) or None):
             names.append(key)
     return names
 
@@ -121,6 +122,14 @@ def unchanged(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     }
 
 
+def known_to(config: Mapping[str, Any], definition: Definition) -> Definition:
+    """The definition of a fit as it was resolved to a `config`: earlier ones had no nuisances."""
+    if "nuisances" in config:
+        return definition
+    held = definition.fit.model_copy(update={"nuisances": False})
+    return definition.model_copy(update={"fit": held})
+
+
 def check_again(now: Mapping[str, Any], before: Mapping[str, Any], folder: Path) -> None:
     """Refuse to go on with the fit of a journal by other settings, or on other files.
 
@@ -129,6 +138,8 @@ def check_again(now: Mapping[str, Any], before: Mapping[str, Any], folder: Path)
     _base_of(before, folder)
     same_files = list(now["inputs"].values()) == list(before["inputs"].values())
     by_other_names = ("data", "validation") if same_files else ()
+    # What nuisances there are, its configuration says, which is compared.
+    by_other_names += ("nuisances",)
     if names := [name for name in differences(now, before) if name not in by_other_names]:
         raise InputError(
             f"the fit in {folder} has other settings (it differs in {', '.join(names)}): leave "

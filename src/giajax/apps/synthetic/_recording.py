@@ -234,6 +234,7 @@ def synthesise(
             Definition.parse(_constants(constants or model), "model")
         ),
     )
+    plan = known_exactly(model, plan)
     unknown = [channel for channel in channels if channel not in plan.observations]
     if unknown:
         raise InputError(
@@ -248,6 +249,14 @@ def synthesise(
         # An exact number, rounded down: a channel is never left without a value.
         recorded[channel][_some(len(exact), missing, random)] = np.nan
     return Run.from_arrays(times, {**inputs, **recorded}, name=name, definition=plan.definition)
+
+
+def known_exactly(model: AbstractModel, run: Run) -> Run:
+    """A run that no device recorded: unless its definition says so, nothing of it is uncertain."""
+    if not capabilities.uncertain(model, [run]):
+        return run
+    exact = Definition.parse({"uncertainty": {"defaults": False}}, run.name)
+    return dataclasses.replace(run, definition=exact.merged_with(run.definition))
 
 
 def _predicted(
@@ -382,4 +391,4 @@ def driven_run(
     facts |= {"origin": origin} if origin else {}
     definition = Definition.parse(facts, name)
     definition = definition.merged_with(Definition.parse(_constants(model), "model"))
-    return Run.from_arrays(times, values, name=name, definition=definition)
+    return known_exactly(model, Run.from_arrays(times, values, name=name, definition=definition))
