@@ -1,0 +1,109 @@
+"""What is always uncertain of devices and constants: free in a fit, with a prior.
+
+No test finds an omission that what is fitted imitates: a camera that is late by two standard errors
+of its delay is not seen, and moves a drag coefficient that is correlated with it by ten.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..models import AbstractModel, capabilities
+from ..recordings import FitSettings, PriorEntry, Run
+from ..runtime.text import InputError
+from ..schema.parameters import default_free, elements, switched_on
+
+
+def with_nuisances(
+    model: AbstractModel, runs: Sequence[Run], settings: FitSettings
+) -> tuple[FitSettings, tuple[str, ...]]:
+    """The settings with what is uncertain free, and the paths of that.
+
+    It is what `[uncertainty]` of the runs states, else what is usual of the model's devices
+    (`giajax.models.capabilities.uncertain`). Of an array with one number the first element is free,
+    and the others follow it. What the settings say anything of is theirs.
+
+    Raises:
+        InputError: `[uncertainty]` names what is no parameter or has another number of values, or
+            the runs contradict each other in it.
+    """
+    if not settings.nuisances:
+        return settings, ()
+    stated = _stated(runs)
+    chosen = default_free(model, settings.start) if settings.free is None else settings.free
+    said = (chosen, settings.start, settings.fix, settings.priors, settings.bounds, settings.ties)
+    said += (settings.per_run, settings.groups, settings.uncertainty)
+    theirs = {path.partition("[")[0] for each in said for path in each}
+    priors: dict[str, PriorEntry] = {}
+    ties: dict[str, str] = {}
+    by_default = [run for run in runs if run.definition.uncertainty.defaults]
+    for path, prior in capabilities.uncertain(model, by_default).items() if by_default else ():
+        if path in theirs or any(path == each.partition("[")[0] for each in stated):
+            continue
+        there = switched_on(model, [path])
+        first, *others = elements(there, path)
+        priors[first.path] = PriorEntry.model_validate(prior.contents())
+        value = float(first.value(there))
+        ratios = {each.path: float(each.value(there)) / value for each in others}
+        ties |= _followers(path, first.path, {p: f"{r!r} * " * (r != 1) for p, r in ratios.items()})
+    for path, deviations in stated.items():
+        if path.partition("[")[0] not in theirs:
+            _add(switched_on(model, [path]), path, deviations, priors, ties)
+    if not priors:
+        return settings, ()
+    changed = {
+        "free": [*chosen, *priors],
+        "priors": {**settings.priors, **priors},
+        "ties": {**settings.ties, **ties},
+    }
+    return settings.model_copy(update=changed), tuple(priors)
+
+
+def _followers(path: str, first: str, before: Mapping[str, str]) -> dict[str, str]:
+    """Ties of the other elements of an array to the first, by what stands before it for each."""
+    if not any(before.values()):
+        return {path: first} if before else {}
+    return {other: f"{factor}{first}" for other, factor in before.items()}
+
+
+def _stated(runs: Sequence[Run]) -> dict[str, Any]:
+    """What the runs say of how surely something is known, by path."""
+    stated: dict[str, Any] = {}
+    for run in runs:
+        for path, deviations in run.definition.uncertainty.deviations.items():
+            if stated.setdefault(path, deviations) != deviations:
+                raise InputError(
+                    f"the runs state different [uncertainty] of {path}: state one, or fit them "
+                    "separately"
+                )
+    return stated
+
+
+def _add(
+    model: AbstractModel,
+    path: str,
+    deviations: float | list[float],
+    priors: dict[str, PriorEntry],
+    ties: dict[str, str],
+) -> None:
+    """Add the priors of a path, and what follows from what it has them of."""
+    parts = elements(model, path)
+    sizes = np.asarray(deviations, dtype=float)
+    if sizes.size not in (1, len(parts)):
+        raise InputError(
+            f"[uncertainty] of {path} has {sizes.size} values, and it has {len(parts)}: give one, "
+            "or one for each"
+        )
+    values = [float(part.value(model)) for part in parts]
+    if sizes.ndim == 0 and len(parts) > 1 and not parts[0].declaration.shape:
+        if sizes:
+            # All are off by as much.
+            apart = [f"{value - values[0]!r} + " * (value != values[0]) for value in values[1:]]
+            names = [part.path for part in parts[1:]]
+            ties |= _followers(path, parts[0].path, dict(zip(names, apart, strict=True)))
+        parts = parts[:1]
+    each = np.broadcast_to(sizes, (len(parts),)).tolist()
+    for part, value, size in zip(parts, values, each, strict=False):
+        if size:
+            priors[part.path] = PriorEntry(value=value, deviation=size)
