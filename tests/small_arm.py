@@ -33,6 +33,7 @@ def make_run(
     ramp = np.clip(times / 0.5, 0, 1)
     commands = {"joint01_command": 0.6 * ramp, "joint02_command": -0.5 * ramp}
     definition = {"arm": {"links": LINKS}, "noise": {"position_m": NOISE}}
+    definition["uncertainty"] = {"defaults": False}  # a model is exact
     dummy = {channels[0]: np.zeros_like(times)}
     model = replace(ArmModel(takeichi_20m(LINKS)), TRUTH)
     clean = Run.from_arrays(times, {**commands, **dummy}, definition=definition)

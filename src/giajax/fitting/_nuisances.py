@@ -4,7 +4,7 @@ No test finds an omission that what is fitted imitates: a camera that is late by
 of its delay is not seen, and moves a drag coefficient that is correlated with it by ten.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,8 +32,9 @@ def with_nuisances(
         return settings, ()
     stated = _stated(runs)
     chosen = default_free(model, settings.start) if settings.free is None else settings.free
-    said = (chosen, settings.start, settings.fix, settings.priors, settings.bounds, settings.ties)
-    said += (settings.per_run, settings.groups, settings.uncertainty)
+    said: list[Iterable[str]] = [chosen, settings.start, settings.fix, settings.priors]
+    said += [settings.bounds, settings.ties, settings.per_run, settings.groups]
+    said += [settings.uncertainty]
     theirs = {path.partition("[")[0] for each in said for path in each}
     priors: dict[str, PriorEntry] = {}
     ties: dict[str, str] = {}

@@ -139,7 +139,7 @@ def usual_uncertainty(arm: Arm, sensors: Sensors, runs: Sequence[Run]) -> dict[s
     frames = [float(np.median(np.diff(run.times))) for run in runs if run.times is not None]
     known: dict[str, Prior] = {}
     if (positions or pictures) and frames:
-        half = (max(frames) + _LATEST) / 2
+        half = round((max(frames) + _LATEST) / 2, 6)
         known[CAMERA.delay.path] = Prior(half, deviation=half)
         known[CAMERA.clock_rate.path] = Prior(0.0, deviation=_CLOCK_RATE)
     if positions:

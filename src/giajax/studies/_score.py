@@ -374,17 +374,11 @@ def tables(
     runs: Sequence[Run],
     factors: Sequence[Array],
     coordinates: Coordinates,
-    switches: Sequence[Sequence[Array]],
 ) -> list[Table]:
-    """Weighted residuals and columns of each run, those of the fitted parameters first.
-
-    The changes of the predictions of each run that switches make are tested after the others.
-    """
+    """Weighted residuals and columns of each run, those of the fitted parameters first."""
     weighted = []
     count = len(coordinates.places[0])
     for index, (response, run, factor) in enumerate(zip(at, runs, factors, strict=True)):
-        switched = [np.asarray(changed[index])[..., None] for changed in switches]
-        changes = np.concatenate([response.columns[..., count:], *switched], axis=-1)
         each = factor[..., None]
         fitted, own = coordinates.split(index, response.columns[..., :count], response.own)
         weighted.append(
@@ -393,7 +387,7 @@ def tables(
                 measured=~np.isnan(response.observed),
                 fitted=fitted * each,
                 own=own * each,
-                asked=changes * each,
+                asked=response.columns[..., count:] * each,
                 timed=run.times is not None,
                 known=coordinates.known_of_runs[index],
             )
@@ -505,14 +499,17 @@ _LEAST_WEIGHT = 1e-12
 
 
 def slopes_of(
-    result: FitResult, runs: Sequence[Run], at: Sequence[Response], columns: Sequence[int]
+    result: FitResult,
+    runs: Sequence[Run],
+    at: Sequence[Response],
+    columns: Sequence[int],
+    coordinates: Coordinates,
 ) -> np.ndarray:
     """d(fitted)/d(held), shape (fitted, held); of what not all runs share, the mean.
 
     The `columns` are positions of what is held among the responses. Where residuals are stationary
     in what is fitted, d(theta)/dc = -(J^T J)^-1 J^T z, all whitened as the fit weighed them.
     """
-    coordinates = Coordinates.of(result)
     fitted, shared = len(result.free), len(coordinates.shared)
     rows, of_runs = [], []
     for number, (response, run) in enumerate(zip(at, runs, strict=True)):

@@ -22,7 +22,7 @@ from ..noise import SUSPECT_LEVEL, Reason, Verdict
 from ..recordings import Channel, Run
 from ..runtime.records import json_text
 from ..runtime.text import InputError, format_estimate
-from ..schema.parameters import declared, replace
+from ..schema.parameters import declared, get, replace
 from ._candidates import Candidate, Inquiry, inquiry, is_disturbed, not_neutral
 from ._refit import with_fitted_states
 from ._score import (
@@ -128,6 +128,12 @@ class Suspects:
 
 def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
     """What was held or left out, how large it is, what that moves, and what to do."""
+    if row.kind == "switch":
+        return (
+            f"the data prefer '{row.path}' by {row.chi_square_drop:.3g} of chi-square, which moves "
+            f"{path} by {by:+.2g} of its standard errors: make that choice (giajax suspects tells "
+            "all of them)"
+        )
     values, errors = (
         np.atleast_1d(np.array(row.estimate)),
         np.atleast_1d(np.array(row.estimate_error)),
@@ -446,13 +452,18 @@ def suspects(
         asked = inquiry(*of_this_fit, not_neutral(result, runs))
         at = linearised(result, runs, asked)
     factors = cell_factors(result, runs, at)
-    switches = {} if parameters_alone else _switches(result, asked, runs)
+    first, fitted = len(asked.candidates), len(result.free)
+    switches = _switches(result, asked, runs, every=not parameters_alone)
+    for changes in switches.values():
+        at = [
+            dataclasses.replace(one, columns=np.append(one.columns, change[..., None], axis=-1))
+            for one, change in zip(at, changes, strict=True)
+        ]
     of_fit = Coordinates.of(result)
-    rest = projected(tables(at, runs, factors, of_fit, list(switches.values())), of_fit.known)
+    rest = projected(tables(at, runs, factors, of_fit), of_fit.known)
     cells = _chi_square(at, [response.predicted for response in at], factors)
     chi_square = cells + of_fit.squares
     rows, members = parameter_rows(rest, asked)
-    first = len(asked.candidates)
     rows += [switch_row(rest, first + i, name) for i, name in enumerate(switches)]
     ways = 0
     if not parameters_alone:
@@ -469,18 +480,18 @@ def suspects(
         return float(row.chi_square_drop - price * row.degrees_of_freedom)
 
     rows = sorted(rows, key=worth, reverse=True)
-    fitted = len(result.free)
-    columns: dict[tuple[str, bool], tuple[list[np.ndarray], int]] = {}
+    # Positions among the columns, and the only sign that a step may have, or 0; a choice may be
+    # called as a parameter is.
+    places: dict[tuple[str, bool], tuple[list[int], int]] = {}
     for path, of in members.items():
         begun = asked.candidates[of[0]]
         inward = int(begun.value <= begun.lower) - int(begun.value >= begun.upper)
-        by_run = [response.columns[..., [fitted + place for place in of]] for response in at]
-        columns[path, False] = by_run, inward if len(of) == 1 else 0
-    for name, of_runs in switches.items():
-        columns[name, True] = [each[..., None] for each in of_runs], 1
-    rows = _among_memory(rows, columns, result, runs, at, of_fit, number)
+        places[path, False] = [fitted + place for place in of], inward if len(of) == 1 else 0
+    for place, name in enumerate(switches, start=fitted + first):
+        places[name, True] = [place], 1
+    rows = _among_memory(rows, places, result, runs, at, of_fit, number)
     return Suspects(
-        rows=tuple(_with_moves(rows, members, result, runs, at)),
+        rows=tuple(_with_moves(rows, places, result, runs, at, of_fit)),
         chi_square=chi_square,
         values=rest.values,
         parameters=rest.parameters,
@@ -490,7 +501,7 @@ def suspects(
 
 def _among_memory(
     rows: Sequence[Suspect],
-    columns: Mapping[tuple[str, bool], tuple[Sequence[np.ndarray], int]],
+    places: Mapping[tuple[str, bool], tuple[list[int], int]],
     result: FitResult,
     runs: Sequence[Run],
     at: Sequence[Response],
@@ -500,16 +511,17 @@ def _among_memory(
     """Rows with the larger p-value where noise with a memory explains them, too.
 
     Only the promising ones that are significant are asked, of so many tests in all; where outliers
-    count less, none is. The columns, by the path and whether it is a choice, are with the only sign
-    that a step may have, or 0.
+    count less, none is.
     """
     shown = {id(row) for row in promising(rows)} if result.loss.is_linear else set()
 
     def confirmed(row: Suspect) -> Suspect:
         key = (row.path, row.kind == "switch")
-        if id(row) not in shown or key not in columns or (row.p_value or 0.0) >= LEVEL:
+        if id(row) not in shown or key not in places or (row.p_value or 0.0) >= LEVEL:
             return row
-        single = among_memory(result, runs, at, coordinates, *columns[key])
+        columns, inward = places[key]
+        of_runs = [response.columns[..., columns] for response in at]
+        single = among_memory(result, runs, at, coordinates, of_runs, inward)
         p_value = max(row.p_value or 0.0, min(number * single, 1.0))
         return dataclasses.replace(row, p_value=p_value)
 
@@ -518,25 +530,27 @@ def _among_memory(
 
 def _with_moves(
     rows: Sequence[Suspect],
-    members: Mapping[str, Sequence[int]],
+    places: Mapping[tuple[str, bool], tuple[list[int], int]],
     result: FitResult,
     runs: Sequence[Run],
     at: Sequence[Response],
+    coordinates: Coordinates,
 ) -> list[Suspect]:
     """Rows with what the steps of those that are significant do to the fitted parameters."""
-    named = {row.path: row for row in rows if (row.p_value or 0.0) < LEVEL and row.testable}
-    places = {path: members[path] for path in named if path in members}
-    columns = sorted({place for of in places.values() for place in of})
+    shown = {id(row) for row in rows if (row.p_value or 0.0) < LEVEL and row.testable}
+    keys = {id(row): (row.path, row.kind == "switch") for row in rows if id(row) in shown}
+    columns = sorted({place for key in keys.values() for place in places.get(key, ([], 0))[0]})
     if not columns:
         return list(rows)
-    slopes = slopes_of(result, runs, at, [len(result.free) + place for place in columns])
+    slopes = slopes_of(result, runs, at, columns, coordinates)
     errors = np.asarray([one.standard_error or np.nan for one in result.free.values()])
 
     def moved(row: Suspect) -> Suspect:
-        if row.path not in places or row is not named[row.path]:
+        key = keys.get(id(row))
+        if key is None or key not in places:
             return row
         step = np.ravel(np.subtract(np.array(row.estimate), np.array(row.value)))
-        shift = slopes[:, np.searchsorted(columns, places[row.path])] @ step / errors
+        shift = slopes[:, [columns.index(place) for place in places[key][0]]] @ step / errors
         known = dict(zip(result.free, shift.tolist(), strict=True))
         return dataclasses.replace(row, moves={p: by for p, by in known.items() if by == by})
 
@@ -558,9 +572,12 @@ def linearised(result: FitResult, runs: Sequence[Run], asked: Inquiry) -> list[R
 
 
 def _switches(
-    result: FitResult, asked: Inquiry, runs: Sequence[Run]
+    result: FitResult, asked: Inquiry, runs: Sequence[Run], *, every: bool
 ) -> dict[str, list[np.ndarray]]:
-    """By the name of each choice of the model: how it changes the predictions of each run."""
+    """By the name of each choice of the model: how it changes the predictions of each run.
+
+    Not of every one, but of those that say otherwise why a nuisance is not what it usually is.
+    """
     free = {direction.path for direction in asked.free}
     changes: dict[str, list[np.ndarray]] = {}
     base: list[Response] | None = None
@@ -572,13 +589,26 @@ def _switches(
         return responses_of(result, runs, stepped, variant=variant)
 
     for name, variant in capabilities.variants(result.model).items():
-        if free <= set(declared(variant)):
+        if free <= set(declared(variant)) and (every or _explains(result, variant)):
             base = base or predicted(result.model)
             # One may be none that can be evaluated with these values.
             with contextlib.suppress(InputError):
                 pairs = zip(predicted(variant, name), base, strict=True)
                 changes[name] = [other.predicted - one.predicted for other, one in pairs]
     return changes
+
+
+_SURELY = 3.0  # standard errors from which on a nuisance is sure to be there
+
+
+def _explains(result: FitResult, variant: AbstractModel) -> bool:
+    """Whether a nuisance that is surely there is not in a variant of the fitted model."""
+    for path in result.nuisances:
+        estimate, other = result.free[path], float(get(variant, path))
+        apart = abs(float(estimate.value) - other)
+        if apart and apart > _SURELY * (estimate.standard_error or np.inf):
+            return True
+    return False
 
 
 def _corrected(rows: Sequence[Suspect], further: int) -> tuple[list[Suspect], int]:

@@ -13,7 +13,7 @@ from ..recordings import Run
 from ..runtime.text import InputError
 from ..schema.parameters import elements, get, switched_on
 from ._candidates import Inquiry, inquiry
-from ._score import responses_of, slopes_of
+from ._score import Coordinates, responses_of, slopes_of
 from ._suspects import suspects
 
 FRACTION = 0.01
@@ -145,7 +145,7 @@ def systematic_errors(
             directions.append(doubt.direction)
     at = responses_of(result, several, asked.model, directions)
     columns = [places[id(doubt.direction)] for doubt in doubts]
-    slopes = slopes_of(result, several, at, columns)
+    slopes = slopes_of(result, several, at, columns, Coordinates.of(result))
     errors = [_error(result, doubt, slopes[:, index]) for index, doubt in enumerate(doubts)]
     kept = [(error, _weight(result, error)) for error in errors]
     # The stated ones first, then what decides most; what moves nothing is not worth a row.
@@ -187,7 +187,9 @@ def _error(result: FitResult, doubt: Doubt, slopes: np.ndarray) -> SystematicErr
         stated=doubt.stated,
         shifts=shifts,
         decides=tuple(
-            path for path in free if abs(shifts[path]) > (free[path].standard_error or np.inf)
+            path
+            for path in result.asked
+            if abs(shifts[path]) > (free[path].standard_error or np.inf)
         ),
     )
 

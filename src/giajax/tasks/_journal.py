@@ -137,9 +137,8 @@ def check_again(now: Mapping[str, Any], before: Mapping[str, Any], folder: Path)
     """
     _base_of(before, folder)
     same_files = list(now["inputs"].values()) == list(before["inputs"].values())
-    by_other_names = ("data", "validation") if same_files else ()
     # What nuisances there are, its configuration says, which is compared.
-    by_other_names += ("nuisances",)
+    by_other_names = ("nuisances", *(("data", "validation") if same_files else ()))
     if names := [name for name in differences(now, before) if name not in by_other_names]:
         raise InputError(
             f"the fit in {folder} has other settings (it differs in {', '.join(names)}): leave "
