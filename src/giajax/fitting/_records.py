@@ -44,6 +44,9 @@ class Suspect:
         p_value: of the test, corrected for how many were asked; None where it is not testable.
         testable: whether the data would show it, beside what the fit moved.
         alike: paths of other suspects that the data can hardly tell from this one.
+        together: paths of up to three others in whose presence little of it is left: a group that
+            the data tell as one.
+        explained_by: the suspect that it is in the group of, or that leaves little of it.
         note: why it is not testable, or what a reader must know; may be empty.
         moves: by how many of their standard errors the step moves fitted parameters, by path; of
             parameters that are significant.
@@ -62,6 +65,8 @@ class Suspect:
     alike: tuple[str, ...] = ()
     note: str = ""
     moves: dict[str, float] = dataclasses.field(default_factory=dict)
+    together: tuple[str, ...] = ()
+    explained_by: str = ""
 
 
 @dataclasses.dataclass(frozen=True)

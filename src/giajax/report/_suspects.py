@@ -17,8 +17,9 @@ SUSPECT_HEADINGS = ("suspect", "held at", "estimate", "error", "unit", "chi-squa
 
 def suspect_rows(found: Suspects, most: int = 10) -> Rows:
     """The most promising suspects under `SUSPECT_HEADINGS`, and all that are significant."""
-    shown = found.promising[: max(most, len(found.significant))]
-    return [_cells(row) for row in shown if row.chi_square_drop]
+    shown = [row for row in found.promising if row.chi_square_drop and not row.explained_by]
+    surely = sum(not row.explained_by for row in found.significant)
+    return [_cells(row) for row in shown[: max(most, surely)]]
 
 
 def first_suspects(result: FitResult, most: int = 3) -> Rows:
@@ -27,13 +28,17 @@ def first_suspects(result: FitResult, most: int = 3) -> Rows:
 
 
 def significant(result: FitResult) -> list[Suspect]:
-    """The suspects of a result that are significant, the most promising first.
+    """The suspects of a result that are significant, the most promising first, a group as one.
 
     None of an adequate model, of which by chance every twentieth has one.
     """
     if result.verdict.status == "adequate":
         return []
-    return [row for row in promising(result.suspects) if (row.p_value or 0.0) < LEVEL]
+    return [
+        row
+        for row in promising(result.suspects)
+        if (row.p_value or 0.0) < LEVEL and not row.explained_by
+    ]
 
 
 def _cells(row: Suspect) -> list[str]:
@@ -46,8 +51,8 @@ def _cells(row: Suspect) -> list[str]:
     else:
         shown = format_estimate(estimate, error if isinstance(error, float) else None)
     remarks = [row.note] if row.note else []
-    if row.alike:
-        remarks.append(f"the data can hardly tell it from {', '.join(row.alike)}")
+    if others := dict.fromkeys([*row.alike, *row.together]):
+        remarks.append(f"the data can hardly tell it from {', '.join(others)}")
     if row.kind == "switch" and estimate is not None:
         remarks.append("estimate: how much of the change, 0 to 1")
     if row.kind == "factor":

@@ -494,6 +494,17 @@ def alike(rest: Projected, one: Sequence[int], other: Sequence[int]) -> float:
     return float(np.min(np.linalg.svd(a.T @ b, compute_uv=False), initial=1.0))
 
 
+def drop_beyond(rest: Projected, tests: Sequence[int], given: Sequence[int]) -> float:
+    """What some columns take from the sum of squares beyond what others take already.
+
+    That is lambda^2 (1 - R^2), with R the multiple correlation of a column with the others.
+    """
+    before = basis_of(rest.columns[:, list(given)])
+    columns = rest.columns[:, list(tests)]
+    beyond = basis_of(columns - before @ (before.T @ columns))
+    return float(np.sum((beyond.T @ rest.residual) ** 2))
+
+
 # Of a cell that a robust loss leaves out: a weight of 0 would be no measurement.
 _LEAST_WEIGHT = 1e-12
 

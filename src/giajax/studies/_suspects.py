@@ -33,6 +33,7 @@ from ._score import (
     alike,
     among_memory,
     cell_factors,
+    drop_beyond,
     models_of_runs,
     projected,
     responses_of,
@@ -141,9 +142,8 @@ def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
     pairs = [format_estimate(*each) for each in zip(values.tolist(), errors.tolist(), strict=True)]
     shown = ", ".join(f"{value} +- {error}" for value, error in pairs)
     unit = f" {row.unit}" if row.unit else ""
-    also = (
-        f" (or {', '.join(row.alike)}, which the data can hardly tell from it)" if row.alike else ""
-    )
+    others = ", ".join(dict.fromkeys([*row.alike, *row.together]))
+    also = f" (or {others}, which the data can hardly tell from it)" if others else ""
     plain = isinstance(row.value, float) and row.kind != "factor"
     held = f"held at {row.value:.4g}{unit}" if plain else "held"
     times = "its value times " if row.kind == "factor" else ""
@@ -490,6 +490,8 @@ def suspects(
     for place, name in enumerate(switches, start=fitted + first):
         places[name, True] = [place], 1
     rows = _among_memory(rows, places, result, runs, at, of_fit, number)
+    tested = {key: [place - fitted for place in columns] for key, (columns, _) in places.items()}
+    rows = _in_groups(rows, tested, rest, max(1.0, chi_square / rest.values))
     return Suspects(
         rows=tuple(_with_moves(rows, places, result, runs, at, of_fit)),
         chi_square=chi_square,
@@ -526,6 +528,52 @@ def _among_memory(
         return dataclasses.replace(row, p_value=p_value)
 
     return [confirmed(row) for row in rows]
+
+
+_APART = 6.0  # of chi-square, that a suspect takes beyond others which do not explain it
+_MEMBERS = 3  # of a group, beside the first
+_MOST = 24  # suspects that are compared
+
+
+def _in_groups(
+    rows: Sequence[Suspect],
+    tested: Mapping[tuple[str, bool], list[int]],
+    rest: Projected,
+    scale: float,
+) -> list[Suspect]:
+    """Rows with what the data tell as one, of those that are significant.
+
+    The most promising one leads a group with whatever leaves too little of it: another, or as few
+    as it takes. What it leaves too little of itself is explained by it.
+    """
+    enough = _APART * scale
+    key = {id(row): (row.path, row.kind == "switch") for row in rows}
+    left = [
+        row for row in promising(rows) if (row.p_value or 0.0) < LEVEL and key[id(row)] in tested
+    ][:_MOST]
+    told: dict[int, Suspect] = {}
+
+    def beyond(row: Suspect, others: Sequence[Suspect]) -> float:
+        given = [place for other in others for place in tested[key[id(other)]]]
+        return drop_beyond(rest, tested[key[id(row)]], given)
+
+    while left:
+        first, *left = left
+        members = [other for other in left if beyond(first, [other]) < enough]
+        if not members:
+            while len(members) < min(_MEMBERS, len(left)) and beyond(first, members) >= enough:
+                others = [other for other in left if other not in members]
+                members.append(min(others, key=lambda other: beyond(first, [*members, other])))
+            if members and beyond(first, members) >= enough:
+                members = []
+        told[id(first)] = dataclasses.replace(
+            first, together=tuple(other.path for other in members[:_MEMBERS])
+        )
+        explained = [o for o in left if o in members or beyond(o, [first]) < enough]
+        for other in explained:
+            told[id(other)] = dataclasses.replace(other, explained_by=first.path)
+        left = [other for other in left if other not in explained]
+    return [told.get(id(row), row) for row in rows]
 
 
 def _with_moves(
