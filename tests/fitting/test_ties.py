@@ -123,11 +123,12 @@ def test_an_element_that_its_own_tie_names_stays_free():
     model = ArmModel(takeichi_20m(4))
     times = np.linspace(0.0, 2.0, 9)
     flat = Run.from_arrays(times, {"joint01_command": 0 * times, "link04_z": times})
-    setup = set_up(model, flat, free=["links.mass"], ties={"links.mass": "links.mass[2]"})
+    free = {"free": ["links.mass"], "nuisances": False}
+    setup = set_up(model, flat, **free, ties={"links.mass": "links.mass[2]"})
     assert [parameter.path for parameter in setup.parameters] == ["links.mass[2]"]
     masses = setup.started_at({"links.mass[2]": 0.3}).model.arm.links.mass
     assert_allclose(masses, [0.3] * 4)
-    setup = set_up(model, flat, free=["links.mass"], ties={"links.mass": "links.mass[0] * 2"})
+    setup = set_up(model, flat, **free, ties={"links.mass": "links.mass[0] * 2"})
     assert_allclose(setup.model.arm.links.mass, np.array([1, 2, 2, 2]) * 0.047)
     setup = set_up(model, flat, ties={"links.centre_of_mass": "links.length / 3"})
     assert_allclose(setup.model.arm.links.centre_of_mass, [0.33] * 4)

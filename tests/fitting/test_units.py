@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from giajax import fit, model_for, read_run
+from giajax import build_model, fit, model_for, read_run
 from giajax.cli._fit import Progress
 from giajax.fitting import (
     Estimate,
@@ -62,10 +62,14 @@ def test_units_of_a_fraction_are_told_apart():
 
 
 def test_progress_is_in_the_units_of_the_table(capsys):
-    values = {"elastic": 2e-6, "weights[0]": 3e-6, "decay": 0.5}
-    Progress({"elastic": 1e6, "weights": 1e6})(Iteration(0, 1.0, 0.0, True, values))
+    """And what is always uncertain has no column."""
+    section = {"thresholds": [0.5], "input_column": "input_kPa", "output_column": "output_mm"}
+    model = build_model("hysteresis", {"hysteresis": section}, {})
+    values = {"elastic": 2e-6, "weights[0]": 3e-6, "offset": 0.5, "idle": 1.0}
+    progress = Progress(SimpleNamespace(model=model, nuisances=("idle",)))
+    progress(Iteration(0, 1.0, 0.0, True, values))
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last.split() == ["0", "1", "2", "3", "0.5"]
+    assert last.split() == ["0", "1", "2", "3", "500"]
 
 
 def test_what_is_not_known_stays():

@@ -347,7 +347,7 @@ def run_fit(
         show_diagnosis(asked)
     # What a person waits for is there; drawing takes a second or two.
     if figures:
-        files += write_figures(result, ready.runs, task.out, held_out=ready.held_out_runs)
+        files += write_figures(asked, ready.runs, task.out, held_out=ready.held_out_runs)
     if self_test:
         files += repeated_fit(result, ready.runs, task.out, shown=shown)
     if report:

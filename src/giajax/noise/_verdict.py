@@ -99,8 +99,9 @@ class Reason:
 
     Attributes:
         code: "noise", "correlation", "differences", "drift", "runs" or "prediction"; "suspect" of
-            what the fit held or left out, "prior" of what is far from what is usual, "end" of a fit
-            that has no optimum, "cells" of too few.
+            what the fit held or left out, "prior" of what is far from what is usual,
+            "unexplained" where no suspect explains it, "end" of a fit that has no optimum, "cells"
+            of too few.
         sentence: what is seen, and where.
         p_value: chance of as much from the noise alone, corrected for how often was looked.
         size: how many times the noise the residuals are for this reason, infinite where the model

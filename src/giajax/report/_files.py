@@ -293,8 +293,8 @@ def _written(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
 def _remove_stale_pictures(folder: Path) -> None:
     """Remove the pictures and the page of an earlier fit, which do not show this one."""
     of_runs = ("recorded.png", "recorded_*.png", "held_out_*.png")
-    whole = ("residuals.png", "correlation.png", "bootstrap.png", "influence.png", PAGE)
-    for pattern in (*of_runs, *whole):
+    whole = ("residuals.png", "correlation.png", "left_over.png", "bootstrap.png", "influence.png")
+    for pattern in (*of_runs, *whole, PAGE):
         for path in folder.glob(pattern):
             try:
                 # A person's own picture of such a name does not carry the signature.

@@ -11,10 +11,19 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from ..fitting import FitResult, HeldOut, PredictedRun, PredictionErrors, RunFit, errors_of
+from ..fitting import (
+    FitResult,
+    HeldOut,
+    PredictedRun,
+    PredictionErrors,
+    RunFit,
+    errors_of,
+    predict,
+)
 from ..noise import by_second_differences
 from ..recordings import Channel, Run, observing, unique_names
 from ..runtime.text import InputError
+from ..studies import UNEXPLAINED
 from ..tasks import fitted_runs
 from ._style import (
     BLUE,
@@ -357,6 +366,89 @@ def residuals_figure(
     return figure
 
 
+def left_over_figure(
+    result: FitResult, runs: Sequence[Run], predictions: Sequence[Mapping[str, np.ndarray]]
+) -> Figure:
+    """In what the residuals are that no suspect explains, of the run that has most of them.
+
+    In time and along the arm, and what the channels have most in common against the command that
+    moves most, its rate, and the angle and the rate of its joint.
+    """
+    tables = [
+        np.nan_to_num(_weighted(run, predicted, record))
+        for run, predicted, record in zip(runs, predictions, result.runs, strict=True)
+    ]
+    worst = int(np.argmax([np.mean(table**2) for table in tables]))
+    run, table = runs[worst], tables[worst]
+    causes = _causes(result, run)
+    figure = new_figure(11, 6.4, f"Left over in {run.name}, in units of the noise")
+    grid = figure.add_gridspec(2, max(len(causes), 1))
+    _draw_spread(figure.add_subplot(grid[0, :]), run, table)
+    left, sizes, _ = np.linalg.svd(table, full_matrices=False)
+    common = left[:, 0] * sizes[0]
+    for place, (label, values) in enumerate(causes.items()):
+        axes = figure.add_subplot(grid[1, place])
+        _draw_means(axes, values, common)
+        plain(axes)
+        axes.set_xlabel(label)
+        if place == 0:
+            axes.set_ylabel("what channels have in common")
+    return figure
+
+
+def _causes(result: FitResult, run: Run) -> dict[str, np.ndarray]:
+    """What may be behind residuals, by its label: command, angle, and their rates."""
+    if not run.commands:
+        return {}
+    name = max(run.commands, key=lambda each: float(np.ptp(run.commands[each])))
+    known = {name: run.commands[name]}
+    channel = run.channels[name]
+    if channel.kind == "joint_command":
+        angle = f"joint{channel.index:02d}_angle"
+        known |= predict(result.model, run, [angle])
+    causes = {}
+    for each, values in known.items():
+        shown = run.channels[name].from_si(values)
+        causes[f"{each} ({channel.unit})"] = shown
+        if run.times is not None:
+            causes[f"its rate ({channel.unit}/s)"] = np.gradient(shown, run.times)
+            causes = {label.replace("its", each, 1): item for label, item in causes.items()}
+    return causes
+
+
+def _draw_spread(axes: Axes, run: Run, table: np.ndarray) -> None:
+    """Means of residuals in spans of time, by channel: in the order of the links."""
+    times = sample_times(run)
+    spans = int(np.clip(len(times) // 8, 1, 120))
+    edges = np.linspace(times[0], times[-1], spans + 1)
+    member = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, spans - 1)
+    counts = np.maximum(np.bincount(member, minlength=spans), 1)
+    means = np.stack([np.bincount(member, row, minlength=spans) / counts for row in table.T])
+    limit = float(np.clip(np.abs(means).max(initial=0.0), 1.0, 20.0))
+    names = list(run.observations)
+    picture = axes.pcolormesh(
+        edges, np.arange(len(names) + 1), means, cmap="RdBu_r", vmin=-limit, vmax=limit
+    )
+    plain(axes, "in time and along the arm")
+    axes.grid(False)
+    every = -(-len(names) // 20)
+    axes.set_yticks(np.arange(len(names))[::every] + 0.5, names[::every])
+    axes.tick_params(axis="y", labelsize=7)
+    axes.set_xlabel(time_label(run))
+    plain_colorbar(axes, picture, label="mean residual / noise")
+
+
+def _draw_means(axes: Axes, over: np.ndarray, values: np.ndarray) -> None:
+    """Values against something, and their means with standard errors in equal parts of it."""
+    axes.plot(over, values, "o", color=GREY, markersize=1.8, alpha=0.35, markeredgewidth=0)
+    order = np.array_split(np.argsort(over, kind="stable"), int(np.clip(len(over) // 20, 2, 15)))
+    centres = [float(np.mean(over[part])) for part in order]
+    means = [float(np.mean(values[part])) for part in order]
+    errors = [float(np.std(values[part]) / np.sqrt(len(part))) for part in order]
+    axes.errorbar(centres, means, errors, color=VERMILLION, marker="o", markersize=4, linewidth=1.4)
+    axes.axhline(0, color=INK, linewidth=0.8)
+
+
 def _weighted(run: Run, predicted: Mapping[str, np.ndarray], record: RunFit) -> np.ndarray:
     """Residuals in units of the noise, NaN where not measured; shape (sample, channel)."""
     rests = {name: values - predicted[name] for name, values in run.observations.items()}
@@ -484,6 +576,8 @@ def picture_files(
     files |= _held_out_files(result, runs, held_out)
     files["residuals.png"] = to_png(residuals_figure(result, runs, predictions))
     files["correlation.png"] = to_png(correlation_figure(result))
+    if any(reason.code == UNEXPLAINED for reason in result.verdict.reasons):
+        files["left_over.png"] = to_png(left_over_figure(result, runs, predictions))
     return files
 
 

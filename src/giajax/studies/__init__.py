@@ -84,6 +84,7 @@ from ._stepwise import (
 )
 from ._suspects import (
     LEVEL as LEVEL,
+    UNEXPLAINED as UNEXPLAINED,
     Suspects as Suspects,
     linearised as linearised,
     promising as promising,

@@ -32,6 +32,7 @@ from ._score import (
     Score,
     alike,
     among_memory,
+    basis_of,
     cell_factors,
     drop_beyond,
     models_of_runs,
@@ -42,6 +43,11 @@ from ._score import (
     tables,
     weighted_rest,
 )
+
+UNEXPLAINED = "unexplained"
+"""Code of a verdict's reason: no suspect explains the residuals."""
+
+_EXPLAINED = 1.1  # times the noise, as much as a verdict lets pass
 
 LEVEL = 0.05
 """A corrected p-value below this is significant."""
@@ -73,6 +79,8 @@ class Suspects:
         values: number of measured values.
         parameters: number of fitted parameters.
         asked: how many tests the p-values are corrected for.
+        left_over: how many times the white noise the residuals would be with the best suspects in,
+            to first order.
     """
 
     rows: tuple[Suspect, ...]
@@ -80,6 +88,7 @@ class Suspects:
     values: int
     parameters: int
     asked: int
+    left_over: float = 1.0
 
     @property
     def promising(self) -> tuple[Suspect, ...]:
@@ -108,11 +117,21 @@ class Suspects:
         """The verdict on the fit that was asked, with the first suspect that makes it doubtful.
 
         That is one which chance does not explain, and which moves a fitted parameter by more than
-        one of its standard errors. An inadequate model stays what it is.
+        one of its standard errors. An inadequate model stays what it is; where none of the suspects
+        explains it, the verdict says so.
         """
-        verdict = result.verdict.without("suspect")
+        verdict = result.verdict.without("suspect").without(UNEXPLAINED)
         if verdict.status == "inadequate":
-            return verdict
+            if self.left_over < _EXPLAINED:
+                return verdict
+            sentence = (
+                "none of what can be freed explains it: with the best suspects in, the residuals "
+                f"would still be {self.left_over:.3g} times the white noise (left_over.png shows "
+                "in what they are)"
+            )
+            # The last one, however sure it is.
+            reason = Reason(UNEXPLAINED, sentence, 0.0, self.left_over)
+            return dataclasses.replace(verdict, reasons=(*verdict.reasons, reason))
         for row in self.promising:
             asked = ((path, by) for path, by in row.moves.items() if path in result.asked)
             path, by = max(asked, key=lambda each: abs(each[1]), default=("", 0.0))
@@ -498,7 +517,25 @@ def suspects(
         values=rest.values,
         parameters=rest.parameters,
         asked=number,
+        left_over=_left_over(rows, tested, rest, cells + of_fit.squares),
     )
+
+
+def _left_over(
+    rows: Sequence[Suspect],
+    tested: Mapping[tuple[str, bool], list[int]],
+    rest: Projected,
+    chi_square: float,
+) -> float:
+    """How many times the noise the residuals are with the suspects that are significant in."""
+    shown = [row for row in promising(rows) if (row.p_value or 0.0) < LEVEL]
+    keys = [(row.path, row.kind == "switch") for row in shown]
+    given = [place for key in keys for place in tested.get(key, [])]
+    basis = basis_of(rest.columns[:, given])
+    left = float(np.sum((rest.residual - basis @ (basis.T @ rest.residual)) ** 2))
+    axes = [row.chi_square_drop or 0.0 for row in shown if row.kind == "axes"]
+    left = min([left, *(chi_square - drop for drop in axes)])
+    return float(np.sqrt(left / max(rest.values - rest.lost - basis.shape[1], 1.0)))
 
 
 def _among_memory(

@@ -65,10 +65,11 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
     """A sentence on whether a fit that was done again gave the numbers of the stored one."""
     keys = ("parameters", "correlation", "cost", "reduced_chi_square", "history")
     now = _plain(result, *keys, "runs", "held_out")
-    if not any("sources" in estimate for estimate in before["parameters"].values()):
-        # An earlier version did not say what each recording is worth.
-        for estimate in now["parameters"].values():
-            del estimate["sources"]
+    # An earlier version did not say as much of an estimate.
+    said = {name for estimate in before["parameters"].values() for name in estimate}
+    for estimate in now["parameters"].values():
+        for name in estimate.keys() - said:
+            del estimate[name]
     same = all(now[key] == before[key] for key in keys)
     for key, what in (("runs", "runs fitted"), ("held_out", "runs with a part held out")):
         ours, theirs = now[key], before.get(key, [])
