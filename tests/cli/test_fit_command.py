@@ -97,7 +97,7 @@ def test_every_key_of_the_result(fitted):
     for path, estimate in record["parameters"].items():
         assert set(estimate) == {
             "value", "standard_error", "unit", "lower", "upper", "free", "remark",
-            "interval", "freedom", "sandwich_error", "prior_share", "sources",
+            "interval", "freedom", "sandwich_error", "prior_share", "sources", "noise_error",
         }  # fmt: skip
         assert estimate["prior_share"] is None
         assert estimate["sources"] == {}

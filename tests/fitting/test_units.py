@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from giajax import build_model, fit, model_for, read_run
+from giajax import fit, model_for, read_run
 from giajax.cli._fit import Progress
 from giajax.fitting import (
     Estimate,
@@ -61,15 +61,17 @@ def test_units_of_a_fraction_are_told_apart():
     assert converted("input", columns).unit == "deg/s"
 
 
-def test_progress_is_in_the_units_of_the_table(capsys):
+def test_progress_is_in_the_units_of_the_table(capsys, tmp_path):
     """And what is always uncertain has no column."""
-    section = {"thresholds": [0.5], "input_column": "input_kPa", "output_column": "output_mm"}
-    model = build_model("hysteresis", {"hysteresis": section}, {})
-    values = {"elastic": 2e-6, "weights[0]": 3e-6, "offset": 0.5, "idle": 1.0}
+    path = tmp_path / "loop.csv"
+    path.write_text("input_kPa,output_mm\n0,0\n9,9\n0,1\n9,9\n")
+    (tmp_path / "loop.toml").write_text('model = "hysteresis"\n[hysteresis]\nthresholds = 1\n')
+    model = model_for([read_run(path)])
+    values = {"offset": 0.0005, "thresholds[0]": 2000.0, "idle": 1.0}
     progress = Progress(SimpleNamespace(model=model, nuisances=("idle",)))
     progress(Iteration(0, 1.0, 0.0, True, values))
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last.split() == ["0", "1", "2", "3", "500"]
+    assert last.split() == ["0", "1", "0.5", "2"]
 
 
 def test_what_is_not_known_stays():

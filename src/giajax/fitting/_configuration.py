@@ -293,6 +293,7 @@ def _resolved(
     settings: FitSettings,
     groups: Mapping[str, Sequence[Sequence[str]]],
     reached: Mapping[str, Any],
+    nuisances: Sequence[str],
 ) -> Setup:
     """What is free in a fit, with the values that another one `reached`, without its `config`.
 
@@ -300,13 +301,14 @@ def _resolved(
         InputError: an unknown path, two that contradict each other, or a value outside its bounds.
     """
     free, start, fix, ties = settings.free, settings.start, settings.fix, settings.ties
-    asked = [*(free or ()), *groups]
+    asked = [*(free or ()), *nuisances, *groups]
     model = switched_on(model, (*reached, *start, *fix, *asked, *ties))
     for path, value in (*start.items(), *fix.items()):
         check_count(model, path, value)
     for path in set(start) & set(fix):
         raise InputError(f"'{path}' has a start and a fixed value: give one of them")
-    chosen = [*(default_free(model, start) if free is None else free), *groups]
+    by_default = default_free(model, start) if free is None else ()
+    chosen = [*by_default, *asked]
     fixed = {element.path for path in fix for element in elements(model, path)}
     for values in (start, reached, fix):
         model = replace(model, values)
@@ -473,7 +475,7 @@ def set_up(
     groups = sharing(runs, settings.per_run, settings.groups)
     reached = {} if begin is None else begin.values_for(model)
     settings, nuisances = with_nuisances(model, runs, settings)
-    setup = _resolved(model, runs, settings, groups, reached)
+    setup = _resolved(model, runs, settings, groups, reached, nuisances)
     check_loss(setup.loss)
     _check_determined(setup)
     _check_together(setup)

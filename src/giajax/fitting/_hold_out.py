@@ -132,7 +132,8 @@ def set_up_with_hold_out(
         model_for(runs)  # refuses runs whose sidecars contradict each other
     of_fitted = settings.model_copy(update={"groups": _among(settings.groups, fitted, runs)})
     setup = set_up(model_for(fitted), fitted, of_fitted, begin=begin)
-    known = setup.settings.model_copy(update={"groups": settings.groups})
+    free = [p.path for p in setup.parameters if p.path not in setup.groups]
+    known = setup.settings.model_copy(update={"free": free, "groups": settings.groups})
     whole = set_up(setup.model, runs, known, begin=begin)
     config: dict[str, list[dict[str, Any]]] = {"runs": [], "hold_out": []}
     records = iter(setup.config["runs"])

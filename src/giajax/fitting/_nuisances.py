@@ -18,7 +18,7 @@ from ..schema.parameters import default_free, elements, switched_on
 def with_nuisances(
     model: AbstractModel, runs: Sequence[Run], settings: FitSettings
 ) -> tuple[FitSettings, tuple[str, ...]]:
-    """The settings with what is uncertain free, and the paths of that.
+    """The settings with the priors and ties of what is uncertain, and the paths of that, to free.
 
     It is what `[uncertainty]` of the runs states, else what is usual of the model's devices
     (`giajax.models.capabilities.uncertain`). Of an array with one number the first element is free,
@@ -53,11 +53,7 @@ def with_nuisances(
             _add(switched_on(model, [path]), path, deviations, priors, ties)
     if not priors:
         return settings, ()
-    changed = {
-        "free": [*chosen, *priors],
-        "priors": {**settings.priors, **priors},
-        "ties": {**settings.ties, **ties},
-    }
+    changed = {"priors": {**settings.priors, **priors}, "ties": {**settings.ties, **ties}}
     return settings.model_copy(update=changed), tuple(priors)
 
 

@@ -21,7 +21,7 @@ from ..schema.parameters import declared, replace
 from ._configuration import resolved_ties, tied
 from ._coordinates import Layout, members
 
-SuspectKind = Literal["parameter", "factor", "group", "switch", "axes"]
+SuspectKind = Literal["parameter", "factor", "group", "scatter", "switch", "axes"]
 
 
 @dataclasses.dataclass(frozen=True)

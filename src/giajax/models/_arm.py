@@ -414,6 +414,10 @@ class ArmModel(AbstractModel):
             others["joints.drive_lag = camera.delay, camera.delay = 0"] = replace(self, late)
         return others
 
+    def scattering(self) -> tuple[str, ...]:
+        """Joints of one kind may be of different stiffness."""
+        return () if self.arm.pneumatics is not None else (JOINTS.stiffness_factor.path,)
+
     def uncertain(self, runs: Sequence[Run]) -> dict[str, Prior]:
         """Clock and scale of a camera that nobody calibrated, and the diameter of the links."""
         own = [run for run in runs if run.model == self.kind]

@@ -112,6 +112,11 @@ def uncertain(model: AbstractModel, runs: Sequence[Run]) -> dict[str, Prior]:
     return _asked(model, "uncertain", {}, runs)
 
 
+def scattering(model: AbstractModel) -> tuple[str, ...]:
+    """Factors of which each element may be another one: `giajax.suspects` tests their spread."""
+    return _asked(model, "scattering", ())
+
+
 def unseen(
     model: AbstractModel, inputs: Any, channels: tuple[str, ...]
 ) -> dict[str, npt.NDArray[np.bool_]]:

@@ -158,6 +158,15 @@ class _Joints(Group):
     damping = freed_guess(
         0.05, "N m s/rad", "viscous damping of a joint's own rate", upper=1e2, **EACH_JOINT
     )
+    stiffness_factor = positive(
+        1.0,
+        "",
+        "stiffness of a joint over that of its kind",
+        upper=100,
+        optional=True,
+        neutral=1.0,
+        **EACH_JOINT,
+    )
     friction = positive(
         0.1, "N m", "Coulomb friction of a joint", upper=1e3, optional=True, **EACH_JOINT
     )

@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 from scipy.linalg import solve_banded
-from scipy.special import fdtrc, stdtr
+from scipy.special import fdtrc, ndtr, stdtr
 
 from ..fitting import (
     Direction,
@@ -450,6 +450,57 @@ def score(
         wald *= drop / whole if whole > 0 else 0.0
         p_value = float(fdtrc(count, effective, wald / count))
     return Score(step, errors, drop, p_value)
+
+
+def scatter(rest: Projected, tests: Sequence[int]) -> Score:
+    """The test of whether some columns scatter: their amounts are normal, of one deviation.
+
+    U = |Z^T r|^2 of the columns Z is then larger than for none, where it is a sum of chi-squares
+    with the eigenvalues of the covariance of the score (Lin 1997). The step is the one deviation,
+    by the method of moments, and the drop what the best linear unbiased predictions of the amounts
+    take from the sum of squares.
+    """
+    columns = rest.columns[:, list(tests)]
+    gram, gradient = columns.T @ columns, columns.T @ rest.residual
+    best = np.linalg.pinv(gram, rcond=1e-10, hermitian=True) @ gradient
+    spread, _ = _spread(rest, rest.residual - columns @ best, columns, len(tests))
+    statistic = float(gradient @ gradient)
+    squares = float(np.sum(gram**2))
+    variance = max((statistic - float(np.trace(spread))) / squares, 0.0)
+    # By two moments of U where there is none, and by as many amounts as the columns tell apart.
+    unsure = float(np.sqrt(2 * np.sum(spread**2))) / squares
+    step, told_apart = np.sqrt(variance), float(np.trace(gram)) ** 2 / squares
+    amounts = variance * np.linalg.solve(np.eye(len(gram)) + variance * gram, gradient)
+    drop = float(2 * amounts @ gradient - amounts @ gram @ amounts)
+    error = np.hypot(unsure / (2 * step), step / np.sqrt(2 * told_apart)) if step else unsure**0.5
+    p_value = beyond_mixture(np.linalg.eigvalsh(spread), statistic)
+    return Score(np.array([step]), np.array([error]), max(drop, 0.0), p_value)
+
+
+def beyond_mixture(weights: Array, value: float) -> float:
+    """Chance that a sum of independent chi-squares (1) with these weights exceeds a value.
+
+    By the saddlepoint of its distribution (Kuonen 1999), to a few hundredths of itself, however
+    small it is.
+    """
+    from scipy.optimize import brentq  # slow to import, and only a model that is wrong asks this
+
+    largest = float(np.max(weights, initial=0.0))
+    if largest <= 0:
+        return 1.0
+    scaled = np.maximum(weights, 0.0) / largest
+    ratio = value / largest
+
+    def slope(turn: float) -> float:
+        return float(np.sum(scaled / (1 - 2 * scaled * turn))) - ratio
+
+    if abs(slope(0.0)) < 1e-3 * float(np.sum(scaled)):
+        return 0.5  # at its mean, where it is about that and the formula has a pole
+    at = float(brentq(slope, -(len(scaled) + 1) / min(ratio, 1.0), 0.5 - 1e-14))
+    log = -0.5 * float(np.sum(np.log1p(-2 * scaled * at)))
+    away = np.sign(at) * np.sqrt(2 * (at * ratio - log))
+    bend = at * np.sqrt(2 * float(np.sum((scaled / (1 - 2 * scaled * at)) ** 2)))
+    return float(ndtr(-(away + np.log(bend / away) / away)))
 
 
 def _spread(

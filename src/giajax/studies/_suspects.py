@@ -38,6 +38,7 @@ from ._score import (
     models_of_runs,
     projected,
     responses_of,
+    scatter,
     score,
     slopes_of,
     tables,
@@ -322,8 +323,13 @@ _NOT_SHOWN = 3.0
 _ALIKE = 0.99
 
 
-def parameter_rows(rest: Projected, asked: Inquiry) -> tuple[list[Suspect], dict[str, list[int]]]:
-    """A row of each parameter that is held, and the candidates of each that is testable."""
+def parameter_rows(
+    rest: Projected, asked: Inquiry, scattering: Sequence[str] = ()
+) -> tuple[list[Suspect], dict[str, list[int]]]:
+    """A row of each parameter that is held, and the candidates of each that is testable.
+
+    Of what may scatter there is one row, of its deviation.
+    """
     candidates = asked.candidates
     notes = [_why_not(rest, index, one) for index, one in enumerate(candidates)]
     members: dict[str, list[int]] = {}
@@ -334,13 +340,18 @@ def parameter_rows(rest: Projected, asked: Inquiry) -> tuple[list[Suspect], dict
                 members.setdefault(one.group, []).append(index)
     # Of a group of one element, that element has a row.
     members = {p: of for p, of in members.items() if len(of) > 1 or candidates[of[0]].path == p}
+    alone = {one.path for one in candidates if one.group in scattering}
+    members = {path: of for path, of in members.items() if path not in alone}
     rows = [
         _untestable(one.path, one.kind, note, one.unit, one.value)
         for one, note in zip(candidates, notes, strict=True)
-        if note
+        if note and one.path not in alone
     ]
     for path, indices in members.items():
         among = [candidates[index] for index in indices]
+        if path in scattering:
+            rows.append(_scatter_row(path, scatter(rest, indices)))
+            continue
         found = score(
             rest,
             indices,
@@ -380,6 +391,22 @@ def _row(path: str, among: Sequence[Candidate], found: Score, others: tuple[str,
         testable=True,
         alike=others,
         note=note,
+    )
+
+
+def _scatter_row(path: str, found: Score) -> Suspect:
+    return Suspect(
+        path=path,
+        kind="scatter",
+        unit="",
+        value=0.0,
+        estimate=float(found.step[0]),
+        estimate_error=float(found.error[0]),
+        chi_square_drop=found.drop,
+        degrees_of_freedom=1,
+        p_value=found.p_value,
+        testable=True,
+        note="how much its elements scatter, as a standard deviation",
     )
 
 
@@ -464,7 +491,10 @@ def suspects(
         'camera.delay'
     """
     runs = matching_runs(result.runs, runs)
-    of_this_fit = result.model, list(result.free), each, result.config.get("ties")
+    free = {path.partition("[")[0] for path in result.free}
+    scattering = [] if parameters_alone else list(capabilities.scattering(result.model))
+    scattering = [path for path in scattering if path not in {*each, *free}]
+    of_this_fit = result.model, list(result.free), [*each, *scattering], result.config.get("ties")
     asked = inquiry(*of_this_fit)
     at = linearised(result, runs, asked)
     if is_disturbed(result, runs, at):
@@ -482,7 +512,7 @@ def suspects(
     rest = projected(tables(at, runs, factors, of_fit), of_fit.known)
     cells = _chi_square(at, [response.predicted for response in at], factors)
     chi_square = cells + of_fit.squares
-    rows, members = parameter_rows(rest, asked)
+    rows, members = parameter_rows(rest, asked, scattering)
     rows += [switch_row(rest, first + i, name) for i, name in enumerate(switches)]
     ways = 0
     if not parameters_alone:
@@ -623,7 +653,9 @@ def _with_moves(
 ) -> list[Suspect]:
     """Rows with what the steps of those that are significant do to the fitted parameters."""
     shown = {id(row) for row in rows if (row.p_value or 0.0) < LEVEL and row.testable}
-    keys = {id(row): (row.path, row.kind == "switch") for row in rows if id(row) in shown}
+    # A deviation has no direction.
+    directed = [row for row in rows if id(row) in shown and row.kind != "scatter"]
+    keys = {id(row): (row.path, row.kind == "switch") for row in directed}
     columns = sorted({place for key in keys.values() for place in places.get(key, ([], 0))[0]})
     if not columns:
         return list(rows)

@@ -187,6 +187,7 @@ class Joints(eqx.Module):
     friction_rate: Scalar = parameter(JOINTS.friction_rate)
     armature: Float[Array, ""] | PerJoint | None = parameter(JOINTS.armature)
     drive_lag: Float[Array, ""] | PerJoint | None = parameter(JOINTS.drive_lag)
+    stiffness_factor: Float[Array, ""] | PerJoint | None = parameter(JOINTS.stiffness_factor)
     hysteresis: JointHysteresis = inline(default_factory=JointHysteresis)
     laws: dict[str, AbstractJointLaw] = eqx.field(default_factory=dict)
 
@@ -203,7 +204,8 @@ class Joints(eqx.Module):
     @property
     def stiffness(self) -> PerJoint:
         """Stiffness of each joint, N m/rad."""
-        return jnp.where(self.is_yaw, self.yaw_stiffness, self.pitch_stiffness)
+        usual = jnp.where(self.is_yaw, self.yaw_stiffness, self.pitch_stiffness)
+        return usual if self.stiffness_factor is None else usual * self.stiffness_factor
 
     @property
     def dampers(self) -> tuple[AbstractJointLaw, ...]:
