@@ -194,6 +194,7 @@ def test_one_common_mass_of_twenty_links_is_found():
         recorded,
         free=["links.mass", "air.drag_coefficient"],
         ties={"links.mass": "links.mass[0]"},
+        nuisances=False,
     )
     assert result.status == "converged"
     assert list(result.free) == ["links.mass[0]", "air.drag_coefficient"]
