@@ -1,5 +1,7 @@
 """A short run of a short arm, made by the model: quick to fit, and the truth is known."""
 
+import functools
+
 import numpy as np
 
 from giajax.fitting import predict
@@ -24,26 +26,36 @@ START = {
 STARTS = [part for path, value in START.items() for part in ("--start", f"{path}={value}")]
 NOISE = 0.01
 
+TIMES = np.linspace(0.0, 4.0, 41)
+RAMP = np.clip(TIMES / 0.5, 0, 1)
+COMMANDS = {"joint01_command": 0.6 * RAMP, "joint02_command": -0.5 * RAMP}
+DEFINITION = {
+    "arm": {"links": LINKS},
+    "noise": {"position_m": NOISE},
+    "uncertainty": {"defaults": False},  # a model is exact
+}
+
+
+@functools.cache
+def predicted(channels):
+    """What the true arm does, once a session."""
+    model = replace(ArmModel(takeichi_20m(LINKS)), TRUTH)
+    dummy = {channels[0]: np.zeros_like(TIMES)}
+    return predict(
+        model, Run.from_arrays(TIMES, {**COMMANDS, **dummy}, definition=DEFINITION), channels
+    )
+
 
 def make_run(
     folder, name="run", *, seed=0, channels=("link02_y", "link04_y", "link04_z"), **written
 ):
     """Write NAME.csv and its sidecar: noise 0.01 m, a gap in every channel; returns its path."""
-    times = np.linspace(0.0, 4.0, 41)
-    ramp = np.clip(times / 0.5, 0, 1)
-    commands = {"joint01_command": 0.6 * ramp, "joint02_command": -0.5 * ramp}
-    definition = {"arm": {"links": LINKS}, "noise": {"position_m": NOISE}}
-    definition["uncertainty"] = {"defaults": False}  # a model is exact
-    dummy = {channels[0]: np.zeros_like(times)}
-    model = replace(ArmModel(takeichi_20m(LINKS)), TRUTH)
-    clean = Run.from_arrays(times, {**commands, **dummy}, definition=definition)
-    predicted = predict(model, clean, channels)
-    noise = np.random.default_rng(seed)
-    recorded = {key: value + NOISE * noise.normal(size=41) for key, value in predicted.items()}
-    for values in recorded.values():
-        values[15:20] = np.nan
+    noise, recorded = np.random.default_rng(seed), {}
+    for channel, values in predicted(tuple(channels)).items():
+        recorded[channel] = values + NOISE * noise.normal(size=41)
+        recorded[channel][15:20] = np.nan
     path = folder / f"{name}.csv"
-    return write_run(path, times, {**commands, **recorded}, definition=definition, **written)
+    return write_run(path, TIMES, {**COMMANDS, **recorded}, definition=DEFINITION, **written)
 
 
 def small_run(folder, name="run", **options):

@@ -217,6 +217,7 @@ def test_joints_that_remember_and_links_that_stick_go_together():
     assert not np.allclose(motion.angles[-1], free.angles[-1], atol=1e-2)
 
 
+@pytest.mark.slow
 def test_derivatives_through_an_impact_are_differences():
     arm = arm_at(WALL)
     command = joint_ramps(2, {1: 0.6}, start=0.0, duration=0.25)

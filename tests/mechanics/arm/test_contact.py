@@ -154,6 +154,7 @@ def test_force_is_the_derivative_of_the_energy_and_has_its_own():
     assert_allclose(np.asarray(forward) @ weights, reverse, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_derivatives_by_pressure_and_by_where_the_wall_stands():
     """And by angles; of so many links that of their pairs only the near ones are looked at."""
     links = 3

@@ -11,17 +11,18 @@ from numpy.testing import assert_allclose
 
 import giajax
 from giajax import InputError
+from giajax.mechanics import arm as mechanics
 from giajax.mechanics.arm import (
     AbstractDragLaw,
     CentreDrag,
     StripDrag,
     check_drag_law,
-    drag_force,
     takeichi_20m,
 )
 from giajax.runtime.arrays import safe_norm, scaled
 from giajax.schema.parameters import declared, default_free, parameter
 
+drag_force = eqx.filter_jit(mechanics.drag_force)
 ONE = jnp.asarray(1.1)
 
 

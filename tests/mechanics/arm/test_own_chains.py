@@ -8,17 +8,19 @@ import pytest
 from numpy.testing import assert_allclose
 
 import giajax
+from giajax.mechanics import arm as mechanics
 from giajax.mechanics.arm import (
     PointMasses,
     bodies,
-    kinetic_energy,
-    mass_matrix,
-    potential_energy,
     six_points,
 )
 from giajax.models import arm_from_definition, arm_to_definition
 from giajax.schema.parameters import default_free
 
+kinetic_energy, mass_matrix, potential_energy = map(
+    eqx.filter_jit,
+    (mechanics.kinetic_energy, mechanics.mass_matrix, mechanics.potential_energy),
+)
 LINKS = 3
 KNOWN = {"joints.pitch_stiffness": 2.0, "joints.yaw_stiffness": 3.0, "joints.damping": 0.1}
 SIZES = {"length": [0.8, 0.5, 0.4], "diameter": 0.06, "mass": [0.3, 0.2, 0.1]}
@@ -83,13 +85,12 @@ def energies(angles, rates):
 
 def test_energies_are_those_of_its_bodies():
     arm, random = own(), np.random.default_rng(0)
-    matrix = eqx.filter_jit(mass_matrix)
     still = jnp.zeros(LINKS)
     rest = energies(np.zeros(LINKS), np.zeros(LINKS))[1]
     for _ in range(3):
         angles, rates = random.normal(size=(2, LINKS))
         kinetic, potential = energies(angles, rates)
-        assert_allclose(rates @ matrix(arm, angles) @ rates / 2, kinetic, rtol=1e-7)
+        assert_allclose(rates @ mass_matrix(arm, angles) @ rates / 2, kinetic, rtol=1e-7)
         state = jnp.asarray(angles), jnp.asarray(rates)
         assert_allclose(kinetic_energy(arm, *state), kinetic, rtol=1e-7)
         # Commanded to where they are, springs store nothing.

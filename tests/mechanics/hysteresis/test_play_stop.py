@@ -107,10 +107,12 @@ def test_a_rest_does_not_lose_the_derivative():
     # After u stops, w stays at u - r: still one to one with u and r.
     inputs, thresholds = jnp.asarray([0.0, 1.0, 1.0, 1.0]), jnp.asarray([0.3])
     for method in ("scan", "associative"):
-        slope = jax.jacfwd(lambda r, m=method: play(inputs, r, method=m)[-1, 0])(thresholds)
+        slope = jax.jit(jax.jacfwd(lambda r, m=method: play(inputs, r, method=m)[-1, 0]))(
+            thresholds
+        )
         np.testing.assert_allclose(slope, [-1.0])
         by_level = jax.grad(lambda c, m=method: play(c * inputs, thresholds, method=m)[-1, 0])
-        assert float(by_level(jnp.asarray(1.0))) == pytest.approx(1.0)
+        assert float(jax.jit(by_level)(jnp.asarray(1.0))) == pytest.approx(1.0)
 
 
 def test_batches():
