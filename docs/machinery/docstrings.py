@@ -3,12 +3,15 @@
 Arguments are napoleon's business; what its language has beside them is escaped here.
 """
 
+import inspect
 import re
 from pathlib import Path
 from typing import Any
 
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
+
+import giajax
 
 _CODE = re.compile(r"(`[^`]*`)")
 _MARKUP = re.compile(r"([*|\\]|(?<=\w)_(?!\w))")
@@ -62,8 +65,16 @@ def _signature(app: Sphinx, *about: Any) -> tuple[str | None, str | None]:
     return short[0], short[1]
 
 
+def _as_written(app: Sphinx) -> None:
+    """Sphinx takes defaults from the source, which does not list the keywords of an `Unpack`."""
+    for each in (getattr(giajax, name) for name in giajax.__all__):
+        if inspect.isfunction(each):
+            vars(each).pop("__signature__", None)
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """What Sphinx calls: before napoleon, which writes markup, and after it."""
+    app.connect("builder-inited", _as_written)
     app.connect("autodoc-process-docstring", _process, priority=400)
     app.connect("autodoc-process-docstring", _types, priority=600)
     app.connect("autodoc-process-signature", _signature)
