@@ -67,7 +67,7 @@ def _signature(app: Sphinx, *about: Any) -> tuple[str | None, str | None]:
 
 def _as_written(app: Sphinx) -> None:
     """Sphinx takes defaults from the source, which does not list the keywords of an `Unpack`."""
-    for each in (getattr(giajax, name) for name in giajax.__all__):
+    for each in (getattr(giajax, name) for name in dir(giajax)):
         if inspect.isfunction(each):
             vars(each).pop("__signature__", None)
 
