@@ -15,14 +15,17 @@ from giajax import InputError
 from giajax.models import (
     AbstractSensor,
     Accelerometer,
+    Camera,
     CurvatureSensor,
     Gyroscope,
     Inclinometer,
+    Landmark,
     Marker,
+    Pinhole,
     Sensors,
     TensionSensor,
 )
-from giajax.recordings import parse_column
+from giajax.recordings import Channel, parse_column
 from giajax.runtime.plugins import sources_of
 from giajax.schema import KINDS, ChannelKind, add_kind
 from giajax.schema.parameters import parameter
@@ -196,7 +199,14 @@ def test_the_curvature_is_the_angle_over_the_mean_length_of_the_links():
     assert np.allclose(shown, [[0.3, -0.2, 0.3]], rtol=1e-12)
 
 
+BEHIND = Pinhole(position=[-5.0, 0.5, 0.3], distortion=[-0.1, 0.02, 0, 0, 0], mount="link01")
+FILMED = Sensors(
+    camera=Camera(pinholes={"side": BEHIND}),
+    landmark={"mark01": Landmark(position=[9.0, 1.0, 0.5])},
+)
+POINTS = [Channel.named(f"{point}_u") for point in ("mark01", "link01", "tip")]
 SHIPPED = {
+    "picture": FILMED.pictures(POINTS)["side"],
     "gyroscope": Gyroscope(*[0.1] * 3),
     "accelerometer": Accelerometer(*[0.1] * 6),
     "inclinometer": Inclinometer(0.1),

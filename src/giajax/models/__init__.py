@@ -15,7 +15,9 @@ from ._arm_definition import (
 from ._arm_sensors import (
     AbstractSensor as AbstractSensor,
     Camera as Camera,
+    Landmark as Landmark,
     Marker as Marker,
+    Picture as Picture,
     Sensors as Sensors,
     camera_of as camera_of,
     check_sensor as check_sensor,
