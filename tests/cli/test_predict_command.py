@@ -1,8 +1,19 @@
 """`giajax predict`: errors of a model on runs that it was not fitted to."""
 
 import csv
+import dataclasses
 
+import numpy as np
+import pytest
 from test_fit_command import giajax
+
+from giajax.fitting import fit, load_result, predict
+from giajax.mechanics.arm import takeichi_20m
+from giajax.models import ArmModel, as_stated
+from giajax.recordings import Definition, read_run, write_run
+from giajax.report import write_result
+from giajax.schema.parameters import get, left_out, replace
+from small_arm import LINKS, NOISE, TRUTH, make_run
 
 
 def test_errors_of_two_models_and_their_ratio(arm_fit, tmp_path):
@@ -31,3 +42,66 @@ def test_one_channel_of_one_model(arm_fit):
     heading, row = out.splitlines()
     assert "ratio" not in heading
     assert row.split()[1] == "link04_z"
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    """A result that fitted a turned, late camera, and a run that an exact one saw."""
+    folder = tmp_path_factory.mktemp("filmed")
+    model = replace(ArmModel(takeichi_20m(LINKS)), TRUTH)
+    turned = replace(model, {"camera.rotation": [0.0, 0.3, 0.0], "camera.delay": 0.1})
+    data = make_run(folder)
+    exact, noise = read_run(data), np.random.default_rng(1)
+    rows = {
+        name: row + NOISE * noise.normal(size=41) for name, row in predict(turned, exact).items()
+    }
+    written = {**exact.values, **rows}
+    path = folder / "seen.csv"
+    seen = read_run(write_run(path, exact.times, written, definition=exact.definition))
+    free = ["camera.rotation[1]", "camera.delay"]
+    fixed = {**TRUTH, "camera.rotation[0]": 0.0, "camera.rotation[2]": 0.0}
+    result = fit(model, seen, free=free, fix=fixed, check=False)
+    assert result.status == "converged"
+    write_result(result, [seen], folder / "fit", figures=False)
+    return data, folder / "fit"
+
+
+def test_another_camera_and_wind_are_those_of_the_run(filmed):
+    data, fitted = filmed
+    result, recorded = load_result(fitted), read_run(data)
+
+    def error(**options):
+        rest = [
+            predicted - recorded.observations[name]
+            for name, predicted in result.predict(recorded, **options).items()
+        ]
+        return np.sqrt(np.nanmean(np.square(rest)))
+
+    assert error() > 2 * NOISE
+    assert error(without=["camera"]) < 1.2 * NOISE
+    # What the sidecar states is what the run has; of parts of a group likewise.
+    stated = {**recorded.definition.contents(), "sensors": {"camera_delay_s": 0.05}}
+    late = dataclasses.replace(recorded, definition=Definition.parse(stated, "late"))
+    windy = replace(result.model, {"air.wind": [0.0, 0.5, 0.0]})
+    kept = {"camera.rotation", "camera.delay", "air.wind"}
+    for names, gone, delay in (
+        (["camera"], {"camera.rotation"}, 0.05),
+        (["camera.rotation", "wind"], {"camera.rotation", "air.wind"}, 0.1),
+        (["air", "delay"], {"air.wind"}, 0.05),
+    ):
+        model = as_stated(windy, late, names)
+        assert kept & set(left_out(model)) == gone
+        assert float(get(model, "camera.delay")) == pytest.approx(delay, abs=0.01)
+        assert float(get(model, "joints.damping")) == TRUTH["joints.damping"]
+
+
+def test_without_on_the_command_line(filmed):
+    data, fitted = filmed
+    asked = ("predict", "--model", fitted, "--data", data, "--without")
+    status, out, _ = giajax(*asked, "camera,air.density")
+    assert status == 0
+    assert all(float(row.split()[4]) < 1.5 * NOISE for row in out.splitlines()[1:])
+    status, _, error = giajax(*asked, "cam")
+    assert status == 2
+    assert "nothing called 'cam': give air, base_rotation, camera" in error
+    assert error.count("\n") == 1

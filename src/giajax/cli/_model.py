@@ -9,7 +9,7 @@ import typer
 
 from ..runtime.process import configure
 from ..runtime.text import InputError
-from ._commands import ForceFile, Json, OnlyChannels, Renamed, argument, command, print_table
+from ._commands import ForceFile, Json, OnlyChannels, Renamed, Texts, argument, command, print_table
 
 if TYPE_CHECKING:
     from ..models import AbstractModel
@@ -179,10 +179,13 @@ Examples:
   giajax predict --model giajax-out/triple_pendulum --against published.toml
       --data validation_01.csv --data validation_02.csv
   giajax predict --model my_arm.toml --data run.csv --refit-initial --out errors.csv
+  giajax predict --model giajax-out/run --data other.csv --without camera,wind
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or
-other section) states a model with all its parameters.""")
+other section) states a model with all its parameters.
+--without names what another run has its own of: its sidecar states it, or it is left out.
+A NAME is a group of parameters (camera, encoder, marker), a path, or the end of one.""")
 def predict(
     model: Annotated[Path, "MODEL", "What predicts; see below."],
     data: Annotated[list[Path], "RUN.csv", "A recorded run."],
@@ -195,6 +198,7 @@ def predict(
     channels: OnlyChannels = None,
     rename: Renamed = None,
     refit_initial: Annotated[bool, "Fit the initial state of each run first."] = False,
+    without: Annotated[Texts, "NAME,NAME", "Take this of the run, not of the fit."] = None,
     out: Annotated[Path | None, "FILE.csv", "Write the table there."] = None,
     force: ForceFile = False,
 ) -> None:
@@ -214,6 +218,8 @@ def predict(
 
     if out is not None:
         check_output_files([out], force=force)
+    if without and not is_result(model):
+        raise InputError(f"{model} is no fit that --without takes something from: leave it out")
     sections = {} if config is None else Definition.load(config).contents()
     # What it says of the model is that of the fit, which `model` states already.
     about = ("model", *run_keys(model=False), "fit")
@@ -234,7 +240,8 @@ def predict(
     other = None if against is None else model_of(against, runs_for(against))
     headings = ["run", "channel", "unit", "values", "RMSE", "largest", "RMSE of the other", "ratio"]
     keys = ("run", "channel", "unit", "n", "rmse", "largest", "reference_rmse", "ratio")
-    compared = compare(ours, runs, other, refit_initial=refit_initial)
+    names = [name.strip() for words in without or [] for name in words.split(",")]
+    compared = compare(ours, runs, other, refit_initial=refit_initial, without=names)
     rows = [[getattr(one, key) for key in keys] for one in compared]
     if against is None:
         headings, rows = headings[:-2], [row[:-2] for row in rows]

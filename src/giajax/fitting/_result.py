@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from ..models import AbstractModel, Channels, build_model, capabilities
+from ..models import AbstractModel, Channels, as_stated, build_model, capabilities
 from ..noise import Verdict
 from ..recordings import SCHEMA_VERSION, Run, stored_result
 from ..runtime.plugins import check_sources, hint
@@ -121,28 +121,42 @@ def _predict(model: AbstractModel, inputs: object, channels: tuple[str, ...]) ->
     return model.predict(inputs, channels)[0]
 
 
-def predict(model: AbstractModel, run: Run, channels: Sequence[str] | None = None) -> PredictedRun:
+def predict(
+    model: AbstractModel,
+    run: Run,
+    channels: Sequence[str] | None = None,
+    *,
+    without: Sequence[str] = (),
+) -> PredictedRun:
     """Channels that a model predicts for a run.
 
     Arguments:
         model: the model.
         run: gives times, commands and wind; its recorded channels are not used.
         channels: names without unit (`link06_z`); those that the run recorded by default.
+        without: of what of the model the run has another one, such as `camera` or `wind`: it is
+            then as the sidecar of the run states, or left out. A path, the name of a group of
+            parameters, or the end of a path.
 
     Returns:
         Arrays in SI units of shape (sample,) by channel name; infinite or NaN where the
         simulation did not arrive. Their `plot()` is the picture of them and the run.
 
     Raises:
-        InputError: an unknown channel, or a run of another model.
+        InputError: an unknown channel or name, or a run of another model.
     """
+    model = as_stated(model, run, without)
     names = tuple(run.observations if channels is None else channels)
     predicted = _predict(model, model.prepare(run), names)
     return PredictedRun(run, {name: np.asarray(predicted[name]) for name in names})
 
 
 def prediction_errors(
-    model: AbstractModel, run: Run, channels: Sequence[str] | None = None
+    model: AbstractModel,
+    run: Run,
+    channels: Sequence[str] | None = None,
+    *,
+    without: Sequence[str] = (),
 ) -> PredictionErrors:
     """How far a prediction is from what a run recorded, in the unit of the recording.
 
@@ -152,7 +166,7 @@ def prediction_errors(
         InputError: as `predict`.
     """
     names = list(run.observations if channels is None else channels)
-    return errors_of(run, predict(model, run, names))
+    return errors_of(run, predict(model, run, names, without=without))
 
 
 def errors_of(run: Run, predicted: Mapping[str, np.ndarray]) -> PredictionErrors:
@@ -300,12 +314,14 @@ class FitResult(ShownAsTable):
         """
         return _drawn("plot", self, run)
 
-    def predict(self, run: Run, channels: Sequence[str] | None = None) -> PredictedRun:
+    def predict(
+        self, run: Run, channels: Sequence[str] | None = None, *, without: Sequence[str] = ()
+    ) -> PredictedRun:
         """Channels that the fitted model predicts for a run.
 
         Arguments, results and errors are those of `giajax.predict`.
         """
-        return predict(self.model_of(run), run, channels)
+        return predict(self.model_of(run), run, channels, without=without)
 
     def model_of(self, run: Run) -> AbstractModel:
         """The fitted model as it is for a run: of one that was fitted, with its own values."""

@@ -64,7 +64,7 @@ from ._scenes import (
     joint_scene as joint_scene,
     recorded_markers as recorded_markers,
 )
-from ._several import SeveralModels as SeveralModels
+from ._several import SeveralModels as SeveralModels, as_stated as as_stated
 from .capabilities import Derived as Derived, Integration as Integration
 
 # Type checkers are to complain of what is not there.

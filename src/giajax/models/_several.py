@@ -15,10 +15,26 @@ import numpy.typing as npt
 from ..recordings import Run
 from ..runtime.text import InputError
 from ..schema import KINDS
-from ..schema.parameters import declared, inline, left_out, replace
+from ..schema.parameters import as_in, declared, inline, left_out, replace
 from . import capabilities
 from ._protocol import AbstractModel, Prediction, Scene, model_class
 from .capabilities import Derived, Integration
+
+
+def as_stated(model: AbstractModel, run: Run, names: Sequence[str]) -> AbstractModel:
+    """The model of a run in which what belongs to some names is as the sidecar of the run states.
+
+    What it does not state is left out, or has its default. Names are those of
+    `giajax.schema.parameters.as_in`.
+
+    Raises:
+        InputError: neither the model nor the run has something of a name, or the run is another
+            model's.
+    """
+    if not names:
+        return model
+    own = model.part(run.model) if isinstance(model, SeveralModels) else model
+    return as_in(own, model_class(run.model).for_runs([run]), names)
 
 
 class SeveralInputs(eqx.Module):

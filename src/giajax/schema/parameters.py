@@ -363,6 +363,46 @@ def replace(model: Module, values: Mapping[str, Any]) -> Module:
     return checked(model) if counted else model
 
 
+def as_in(model: Module, other: Module, names: Iterable[str]) -> Module:
+    """The model with what belongs to some names as another of its kind has it, or leaves it out.
+
+    A name is a path, that of a group (`camera`), or the end of one (`wind` for `air.wind`).
+
+    Raises:
+        InputError: neither of them has something of a name.
+    """
+    unknown = set(names)
+
+    def of(path: str, ours: Any, theirs: Any) -> Any:
+        """A part or a parameter at a path; a part that one of them lacks is None here."""
+        hits = {name for name in names if path and f".{path}".endswith(f".{name}")}
+        if hits:
+            unknown.difference_update(hits)
+            return theirs
+        if isinstance(ours, dict) and isinstance(theirs, dict):
+            each = {key: (ours.get(key), theirs.get(key)) for key in {**ours, **theirs}}
+            both = {key: of(f"{path}.{key}" if path else key, *pair) for key, pair in each.items()}
+            return {key: part for key, part in both.items() if part is not None}
+        if not isinstance(ours, eqx.Module) or type(ours) is not type(theirs):
+            return ours
+        changed = {}
+        for field in dataclasses.fields(ours):
+            inside = "" if field.metadata.get(INLINE) else field.name
+            one, another = getattr(ours, field.name), getattr(theirs, field.name)
+            if DECLARED in field.metadata or isinstance(one, eqx.Module | dict):
+                changed[field.name] = of(".".join(filter(None, (path, inside))), one, another)
+        return dataclasses.replace(ours, **changed)
+
+    found = of("", model, other)
+    if unknown:
+        groups = sorted({path.partition(".")[0] for path in {**_by_path(model), **_by_path(other)}})
+        raise InputError(
+            f"the model has nothing called '{min(unknown)}': give {', '.join(groups)}, or a path "
+            "that giajax parameters lists"
+        )
+    return found
+
+
 def switched_on(model: Module, paths: Iterable[str]) -> Module:
     """The model in which none of the paths is left out; those that were have their defaults."""
     for path in paths:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..fitting import FitResult, PredictionErrors, errors_of, fit, prediction_errors
-from ..models import AbstractModel, HysteresisModel, hysteresis_keys, model_for
+from ..models import AbstractModel, HysteresisModel, as_stated, hysteresis_keys, model_for
 from ..recordings import Definition, Run
 from ..runtime.text import InputError
 from ..schema import HysteresisSection
@@ -115,6 +115,7 @@ def compare(
     other: AbstractModel | None = None,
     *,
     refit_initial: bool = False,
+    without: Sequence[str] = (),
 ) -> list[Comparison]:
     """Errors of prediction, channel by channel.
 
@@ -123,14 +124,17 @@ def compare(
         runs: what was recorded; each starts as its definition says.
         other: another model for the same runs.
         refit_initial: fit the initial state of each run first, for each model by itself.
+        without: of what each run has another one, as of `giajax.predict`.
 
     Returns:
         One for each channel of each run, and of several runs for each channel of all together.
     """
     comparisons = []
     for run in runs:
-        errors = _errors(model, run, refit_initial)
-        reference = None if other is None else _errors(other, run, refit_initial)
+        errors = _errors(as_stated(model, run, without), run, refit_initial)
+        reference = (
+            None if other is None else _errors(as_stated(other, run, without), run, refit_initial)
+        )
         comparisons += [
             Comparison(
                 run=run.name,
@@ -180,7 +184,7 @@ def _errors(model: AbstractModel, run: Run, refit: bool) -> PredictionErrors:
         return prediction_errors(model, run)
     free = Definition.parse({"initial": {"free": True}})
     run = dataclasses.replace(run, definition=run.definition.merged_with(free))
-    (predicted,) = fit(model, run, free=[], check=False).predictions
+    (predicted,) = fit(model, run, free=[], nuisances=False, check=False).predictions
     return errors_of(run, predicted)
 
 
