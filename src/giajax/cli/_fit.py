@@ -393,7 +393,7 @@ _SETTINGS |= {"window": "window_s", "windows_first": "windows_first_s"}
 """Names of settings whose option is called otherwise."""
 
 
-class _Settings(TypedDict):
+class Settings(TypedDict):
     """The options of `giajax.recordings.FitSettings`, which would take pydantic to import."""
 
     free: Annotated[Texts, "PATH", "Fit it, and not the default list."]
@@ -436,7 +436,7 @@ class _Settings(TypedDict):
     budget: Annotated[str | None, "TIME", "End with the best so far after 90s, 10m, 2h."]
 
 
-def _typed(given: _Settings) -> "TaskKeywords":
+def typed(given: Settings) -> "TaskKeywords":
     """The settings that were typed, as keywords of `FitTask.on_top`."""
     said: Any = {
         _SETTINGS.get(name, name): _READERS[name](value) if name in _READERS else value
@@ -531,7 +531,7 @@ def fit(
     figures: Annotated[bool, "Draw pictures of the result."] = True,
     self_test: Annotated[bool, "Repeat it with noise drawn anew: are its errors right?"] = False,
     report: Annotated[bool, "Write report.html, a page for a browser, too."] = False,
-    **settings: Unpack[_Settings],
+    **settings: Unpack[Settings],
 ) -> None:
     """Fit parameters to runs.
 
@@ -545,7 +545,7 @@ def fit(
     if resume is not None and (status := finished(resume, as_json, quiet)) is not None:
         raise typer.Exit(status)
     task = named_task(definition, config, again, resume, bool(data)).on_top(
-        **_typed(settings),
+        **typed(settings),
         data=data or None,
         begin=begin,
         out=out,

@@ -21,7 +21,7 @@ from ..schema.parameters import declared, replace
 from ._configuration import resolved_ties, tied
 from ._coordinates import Layout, members
 
-SuspectKind = Literal["parameter", "factor", "group", "scatter", "switch", "axes"]
+SuspectKind = Literal["parameter", "factor", "group", "scatter", "switch", "axes", "prior"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,7 +32,8 @@ class Suspect:
         path: of the parameter, such as `camera.delay` or `air.wind[2]`; of a group that of its
             elements; of a switch or of axes what is changed.
         kind: "parameter"; "factor", of an array whose elements change in proportion; "group",
-            several elements together; "switch", a choice of the model; "axes", of the recording.
+            several elements together; "switch", a choice of the model; "axes", of the recording;
+            "prior", a free parameter without what is known of it (`giajax explain` alone).
         unit: SI unit of the estimate; "" for a factor and for a switch, whose estimate is the
             share, from 0 to 1, of the change that it would make.
         value: what the fit held; a list for a group, None for axes.

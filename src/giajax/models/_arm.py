@@ -20,6 +20,7 @@ from ..runtime.text import InputError
 from ..schema import (
     CAMERA,
     INITIAL,
+    JOINT_MEMORY,
     JOINTS,
     CommandSection,
     InitialSection,
@@ -417,6 +418,12 @@ class ArmModel(AbstractModel):
     def scattering(self) -> tuple[str, ...]:
         """Joints of one kind may be of different stiffness."""
         return () if self.arm.pneumatics is not None else (JOINTS.stiffness_factor.path,)
+
+    def rather(self) -> dict[str, str]:
+        """Joints of balloons have a memory, and friction by rate is what imitates it."""
+        memory = JOINT_MEMORY.strength.path
+        names = [name for name in self.variants() if name.startswith(memory)]
+        return {JOINTS.friction.path: names[0]} if names else {}
 
     def uncertain(self, runs: Sequence[Run]) -> dict[str, Prior]:
         """Clock and scale of a camera that nobody calibrated, and the diameter of the links."""

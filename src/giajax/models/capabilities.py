@@ -137,6 +137,14 @@ def variants(model: AbstractModel) -> dict[str, AbstractModel]:
     return _asked(model, "variants", {})
 
 
+def rather(model: AbstractModel) -> dict[str, str]:
+    """By the path of a parameter, the name of the variant that is to be believed in its place.
+
+    Where both describe a recording about as well. Nothing without the method.
+    """
+    return _asked(model, "rather", {})
+
+
 def free_inputs(model: AbstractModel, run: Run) -> tuple[str, ...]:
     """Declared parameters of the prepared inputs that are free in this run, by path.
 

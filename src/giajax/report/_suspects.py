@@ -1,14 +1,24 @@
 """Suspects, stepwise selection and systematic errors as tables of text cells."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..fitting import Estimate, FitResult, Suspect, SystematicError
 from ..runtime.text import format_estimate, format_number
-from ..studies import LEVEL, Contrast, StepwiseSelection, Suspects, promising, together
+from ..studies import (
+    LEVEL,
+    Contrast,
+    ExplainedStep,
+    Explanation,
+    StepwiseSelection,
+    Suspects,
+    promising,
+    together,
+)
+from ._views import PageSection, RecordView, Table
 
 Rows = list[list[str]]
 
@@ -98,6 +108,83 @@ def stepwise_table(found: StepwiseSelection) -> tuple[list[str], Rows]:
         ]
         for step in found.steps
     ]
+
+
+def explained_table(found: Explanation, rows: Sequence[ExplainedStep]) -> Table:
+    """Headings and a row for each fit: what it changed, how good it is, and what was asked for."""
+    paths = [one.path for one in found.parameters]
+    headings = ["step", "chi-square", "BIC", "p", "held out", *paths]
+    return Table(
+        headings,
+        [
+            [
+                row.change,
+                f"{row.chi_square:.5g}",
+                f"{row.bic:.5g}",
+                format_number(row.p_value, ".2g"),
+                format_number(row.held_out, ".3g"),
+                *(" +- ".join(format_estimate(*row.estimates[path])) for path in paths),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def explained_summary(found: Explanation) -> list[str]:
+    """Sentences on what was found, how it ended, and how sure the selection is."""
+    added = ", ".join(found.added) or "nothing"
+    last = found.steps[-1]
+    sentences = [
+        f"the data ask for {added} beyond the first model; {found.ending}",
+        f"verdict: {found.verdict}" + "".join(f"; {one}" for one in found.sentences[:1]),
+        f"chi-square {last.chi_square:.5g} of {last.values} values and {last.parameters} fitted "
+        "parameters",
+    ]
+    if last.held_out is not None:
+        sentences.append(
+            f"what no step was fitted to is off by {last.held_out:.3g} times its noise "
+            f"({found.steps[0].held_out:.3g} by the first model)"
+        )
+    if found.outliers:
+        sentences.append(f"{found.outliers} outliers were seen: the loss is {found.loss}")
+    near = ", ".join(
+        f"{found.tried[i].change} ({found.tried[i].bic - last.bic:+.2g})" for i in found.near
+    )
+    sentences.append(
+        f"tried, and within {found.nearness:g} of its BIC: {near}"
+        if near
+        else f"no other model that was tried is within {found.nearness:g} of its BIC"
+    )
+    if len(found.steps) > 1:
+        for one in found.parameters:
+            value, error = format_estimate(one.value, one.total_error)
+            unit = f" {one.unit}" if one.unit else ""
+            sentences.append(
+                f"{one.path} = {value} +- {error}{unit}, of which "
+                f"{format_number(one.selection_error, '.2g')} by what fits nearly as well"
+            )
+        sentences.append("errors are conditional on a model that these data selected")
+    if found.axes:
+        sentences.append("the runs with the axes of the model are beside explain.json")
+    return sentences
+
+
+RecordView(
+    place=0,
+    record=Explanation,
+    table=lambda found, result, most: explained_table(found, found.steps),
+    sentences=lambda found, most: explained_summary(found),
+    section=lambda found, result, folder: PageSection(
+        id="explained",
+        name="Explanation",
+        heading="What the data ask for",
+        early=True,
+        table=explained_table(found, [*found.steps, *(found.tried[i] for i in found.near)]),
+        sentences=explained_summary(found),
+        note="One row for each step, and below them for each model that was tried and fits nearly "
+        "as well; chi-square and BIC by the white noise of the last step.",
+    ),
+)
 
 
 def _estimate(one: Estimate | None) -> str:

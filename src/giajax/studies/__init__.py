@@ -25,6 +25,14 @@ from ._contrast import (
     ContrastRow as ContrastRow,
     contrast as contrast,
 )
+from ._explain import (
+    NEARNESS as NEARNESS,
+    Explained as Explained,
+    ExplainedParameter as ExplainedParameter,
+    ExplainedStep as ExplainedStep,
+    Explanation as Explanation,
+    explain as explain,
+)
 from ._influence import (
     Influence as Influence,
     LeftOut as LeftOut,
@@ -77,6 +85,7 @@ from ._starts import (
     misfit as misfit,
 )
 from ._stepwise import (
+    MOST as MOST,
     TRIES as TRIES,
     Step as Step,
     StepwiseSelection as StepwiseSelection,

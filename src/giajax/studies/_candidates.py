@@ -150,7 +150,7 @@ def inquiry(
                 "one value per link, joint or axis"
             )
         # One number for all joints becomes one for each.
-        model = _in_full(model, known[path])
+        model = in_full(model, known[path])
     known = declared(model)
     tied = resolved_ties(model, ties or {})
     following = frozenset(path for tie in tied for path in tie.elements)
@@ -167,7 +167,8 @@ def inquiry(
     )
 
 
-def _in_full(model: AbstractModel, parameter: Parameter) -> AbstractModel:
+def in_full(model: AbstractModel, parameter: Parameter) -> AbstractModel:
+    """The model with a value of this parameter for each joint or link, not one for all."""
     value = np.asarray(parameter.value(model))
     if value.ndim or parameter.any_number:
         return model

@@ -11,6 +11,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ..fitting import (
+    AbstractLoss,
+    Budget,
     FitResult,
     Optimum,
     RunFit,
@@ -23,7 +25,7 @@ from ..fitting import (
     solve,
 )
 from ..models import AbstractModel, capabilities
-from ..recordings import Definition, FitSettings, NoiseModel, Run
+from ..recordings import Definition, FitSettings, NoiseModel, PriorEntry, Run
 from ..runtime.execution import prepared, run_tasks
 from ..runtime.identities import fields_of
 from ..runtime.programs import content
@@ -96,8 +98,11 @@ def refit(
     free: Sequence[str] = (),
     start: Mapping[str, float | Sequence[float]] | None = None,
     fix: Mapping[str, float | Sequence[float]] | None = None,
+    priors: Mapping[str, PriorEntry | None] | None = None,
     noise_model: NoiseModel | None = None,
+    loss: AbstractLoss | str | None = None,
     max_iterations: int | None = None,
+    budget: Budget | None = None,
     check: bool = False,
 ) -> FitResult:
     """Fit the same runs again from where a fit ended, with more parameters or another model.
@@ -110,7 +115,9 @@ def refit(
         start: start values by path, SI, in place of those that the model has. What ended at a
             bound starts a little inside of it.
         fix: values by path, SI, that are set and held; what was free of it no longer is.
-        noise_model, max_iterations, check: as of `giajax.fit`; the noise model is that of `result`.
+        priors: by path, in place of those that free parameters had; None for none.
+        noise_model, loss, max_iterations, budget, check: as of `giajax.fit`; noise model and loss
+            are those of `result`.
     """
     model = result.model if model is None else model
     own, model = _own_values(result, model), switched_on(model, free)
@@ -134,8 +141,12 @@ def refit(
         for part, value in zip(parts, wanted, strict=True):
             values[part.path] = _inside(part, float(value), changed["bounds"])
     changed |= {"free": paths, "start": values, "fix": dict(fix or {})}
+    together = {**changed["priors"], **(priors or {})}
+    changed["priors"] = {path: prior for path, prior in together.items() if prior is not None}
     if noise_model is not None:
         changed["noise_model"] = noise_model
+    if loss is not None:
+        changed["loss"] = loss
     asked = settings.model_copy(update=changed)
     setup = set_up(model, with_fitted_states(result, runs), asked)
     begun = {path.partition("[")[0] for path in begin}
@@ -143,11 +154,13 @@ def refit(
         name: {path: value for path, value in values.items() if path.partition("[")[0] not in begun}
         for name, values in own.items()
     })  # fmt: skip
+    nuisances = [p for p in result.nuisances if p in setup.priors]
+    setup = dataclasses.replace(setup, config={**setup.config, "nuisances": nuisances})
     if result.integration is not None and result.integration.chosen:
         # What moved nothing of one model may move another.
         config = {**setup.config, "tolerance": None}
         setup = dataclasses.replace(setup, reopened=True, config=config)
-    return solve(setup, max_iterations=max_iterations, check=check)
+    return solve(setup, max_iterations=max_iterations, budget=budget, check=check)
 
 
 def _own_values(result: FitResult, model: AbstractModel) -> dict[str, dict[str, float]]:

@@ -1,17 +1,19 @@
 """Stepwise selection: what the residuals ask for is fitted in turn, from where the last ended."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
 from ..fitting import FitResult, Response, Suspect, matching_runs
 from ..models import AbstractModel, capabilities
-from ..recordings import Run
+from ..recordings import PriorEntry, Run
 from ..runtime.aliases import warn_of_name
 from ..runtime.text import InputError
 from ..schema.parameters import declared, elements, left_out, switched_on
+from ._candidates import in_full
 from ._refit import refit, with_fitted_state
 from ._score import Coordinates, responses_of, white_noise
 from ._suspects import Suspects, all_axes, name_of, suspects, turned_back
@@ -48,6 +50,8 @@ class Step:
         """What was changed: a path, `without` one, or nothing for the first."""
         if self.suspect is None:
             return "-"
+        if self.suspect.kind == "prior":
+            return f"{self.suspect.path} without its prior"
         return f"without {self.suspect.path}" if self.removed else self.suspect.path
 
     @property
@@ -164,64 +168,119 @@ def _deviation(deviations: Mapping[str, float], name: str) -> float:
     return float(np.mean(alike or list(deviations.values())))
 
 
+class Fits:
+    """What a selection computes, by names that are told and, of a journal, kept."""
+
+    def suspects(self, result: FitResult, runs: Sequence[Run]) -> Suspects:
+        """What the residuals of a fit ask for."""
+        return suspects(result, runs)
+
+    def refit(self, name: str, result: FitResult, runs: Sequence[Run], **changed: Any) -> FitResult:
+        """A fit again with something changed; white noise is the same for all."""
+        return refit(result, runs, **{"noise_model": "white", **changed})
+
+    def measured(self, *of: Any, removed: bool = False) -> Measured:
+        """What a fit leaves over, as `Measured.of`."""
+        return Measured.of(*of, removed=removed)
+
+
+Tried = tuple[Measured, list[Run], list[Run]]
+"""A fit, and the runs and those held out as it sees them."""
+
+
+def tried_steps(
+    result: FitResult,
+    runs: Sequence[Run],
+    apart: Sequence[Run],
+    promising: Sequence[Suspect],
+    tries: int,
+    fits: Fits,
+    last: Measured | None = None,
+) -> list[Tried]:
+    """The fits of the first so many suspects that can be fitted, each by itself.
+
+    With the `last` fit that was taken, none whose test promises far less than another has brought.
+    """
+    made: list[Tried] = []
+    gained = 0.0
+    for suspect in promising:
+        if len(made) == tries:
+            break
+        if not is_one(result.model, suspect) or _FAR * (suspect.chi_square_drop or 0.0) < gained:
+            continue
+        try:
+            step = _with(result, runs, apart, suspect, fits)
+            made.append((fits.measured(*step, suspect), step[1], step[2]))
+            if last is not None:
+                one = made[-1][0]
+                gained = max(gained, last.step(one.noise).bic - one.step(one.noise).bic)
+        except InputError:  # It cannot be evaluated so; the next one may be.
+            continue
+    return made
+
+
+# A fit takes more of chi-square than its test promises, but hardly so many times as much.
+_FAR = 3.0
+
+
+def best_of(made: Sequence[Tried]) -> Tried:
+    """The one of the lowest BIC."""
+    noise = max((fit for fit, _, _ in made), key=lambda fit: fit.coordinates.size).noise
+    return min(made, key=lambda one: one[0].step(noise).bic)
+
+
 def best_step(
     result: FitResult,
     runs: Sequence[Run],
     apart: Sequence[Run],
     promising: Sequence[Suspect],
     tries: int,
-) -> tuple[Measured, list[Run], list[Run]] | None:
-    """Of the first so many suspects that can be fitted, the fit of the lowest BIC.
-
-    It comes with the runs and those held out as it sees them; None where none can be fitted.
-    """
-    fits: list[tuple[Measured, list[Run], list[Run]]] = []
-    for suspect in promising:
-        if len(fits) == tries:
-            break
-        if not _is_one(result.model, suspect):
-            continue
-        try:
-            step = _with(result, runs, apart, suspect)
-            fits.append((Measured.of(*step, suspect), step[1], step[2]))
-        except InputError:  # It cannot be evaluated so; the next one may be.
-            continue
-    if not fits:
-        return None
-    noise = max((fit for fit, _, _ in fits), key=lambda fit: fit.coordinates.size).noise
-    return min(fits, key=lambda one: one[0].step(noise).bic)
+) -> Tried | None:
+    """Of the first so many suspects that can be fitted, the fit of the lowest BIC, or None."""
+    made = tried_steps(result, runs, apart, promising, tries, Fits())
+    return best_of(made) if made else None
 
 
-def _is_one(model: AbstractModel, suspect: Suspect) -> bool:
+def is_one(model: AbstractModel, suspect: Suspect) -> bool:
     """Whether a suspect is what a fit can free as it was tested."""
-    if suspect.kind in ("switch", "axes"):
-        return True
-    parts = elements(_neutrally(model, suspect.path), suspect.path)
+    if suspect.kind in ("switch", "axes", "prior", "scatter"):
+        return bool(suspect.testable)
+    try:
+        parts = elements(_neutrally(model, suspect.path), suspect.path)
+    except InputError:  # It is of another choice than this model's.
+        return False
     return suspect.kind != "factor" and len(parts) == suspect.degrees_of_freedom
 
 
 def _with(
-    result: FitResult, runs: Sequence[Run], apart: Sequence[Run], suspect: Suspect
+    result: FitResult, runs: Sequence[Run], apart: Sequence[Run], suspect: Suspect, fits: Fits
 ) -> tuple[FitResult, list[Run], list[Run]]:
     """A fit with what a suspect asks for, and the runs and those held out as it sees them."""
-    same = list(runs), list(apart)
+    same, again = (list(runs), list(apart)), functools.partial(fits.refit, suspect.path, result)
+    if suspect.kind == "prior":
+        return again(runs, priors={suspect.path: None}), *same
     if suspect.kind == "switch":
         other = capabilities.variants(result.model)[suspect.path]
         # What a number switches on, as its strength does memory, has that number free.
         by = suspect.path.partition(" = ")[0]
         free = [by] if by in declared(other) else []
-        return refit(result, runs, model=other, free=free, noise_model="white"), *same
+        return again(runs, model=other, free=free), *same
     if suspect.kind == "axes":
         way = next(way for way in all_axes() if name_of(way) == suspect.path)
         turned = [turned_back(run, way) for run in runs]
         start = result.history[0].parameters
-        fit = refit(result, turned, start=start, noise_model="white")
-        return fit, turned, [turned_back(run, way) for run in apart]
+        return again(turned, start=start), turned, [turned_back(run, way) for run in apart]
     model = _neutrally(result.model, suspect.path)
+    if suspect.kind == "scatter":
+        # Each element for itself, held together by how far they scatter.
+        model = in_full(model, declared(model)[suspect.path])
+        size = float(np.max(np.asarray(suspect.estimate)))
+        known = {each.path: float(each.value(model)) for each in elements(model, suspect.path)}
+        priors = {path: PriorEntry(value=one, deviation=size) for path, one in known.items()}
+        return again(runs, model=model, free=list(priors), priors=priors), *same
     assert suspect.estimate is not None
     begin = {suspect.path: suspect.estimate}
-    fit = refit(result, runs, model=model, free=[suspect.path], start=begin, noise_model="white")
-    return fit, *same
+    return again(runs, model=model, free=[suspect.path], start=begin), *same
 
 
 def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
@@ -282,55 +341,100 @@ def ladder(
     """
     if tries < 1:
         raise InputError(f"{tries} suspects cannot be tried at each step: give 1 or more")
-    several, apart = matching_runs(result.runs, runs), list(held_out)
-    fits: list[Measured] = []
-    asked: list[Suspects | None] = []
-
-    def climb(fit: Measured) -> None:
-        fits.append(fit)
-        asked.append(None)
-        if progress is not None:
-            progress(fit.step(fit.noise))
-
+    climb = Climb(matching_runs(result.runs, runs), list(held_out), progress=progress)
     correlated = result.noise is None or result.noise.widening
-    white = refit(result, several, noise_model="white") if correlated else result
-    climb(Measured.of(white, several, apart))
-    ending = f"{most} steps were allowed"
+    white = refit(result, climb.runs, noise_model="white") if correlated else result
+    climb.take(Measured.of(white, climb.runs, climb.apart))
     for _ in range(most):
-        asked[-1] = found = suspects(fits[-1].result, several)
-        best = best_step(fits[-1].result, several, apart, found.significant, tries)
-        if best is None:
-            ending = "no suspect that could be freed is significant"
+        if climb.step(tries):
             break
-        tried, fitted_to, held = best
+    else:
+        climb.ending = f"{most} steps were allowed"
+    steps = climb.steps()
+    steps[-1] = dataclasses.replace(steps[-1], result=as_asked(result, steps, climb.runs))
+    return StepwiseSelection(tuple(steps), climb.ending)
+
+
+@dataclasses.dataclass
+class Climb:
+    """A selection under way: the runs as its last fit sees them, and what was fitted so far.
+
+    Each of the fits that were `taken` has beside it what its residuals ask for, once that is
+    `asked`; `passed` are those that were tried and not taken.
+    """
+
+    runs: list[Run]
+    apart: list[Run]
+    fits: Fits = dataclasses.field(default_factory=Fits)
+    progress: Callable[[Step], None] | None = None
+    taken: list[Measured] = dataclasses.field(default_factory=list)
+    asked: list[Suspects | None] = dataclasses.field(default_factory=list)
+    passed: list[Measured] = dataclasses.field(default_factory=list)
+    ending: str = ""
+
+    @property
+    def last(self) -> Measured:
+        """Where it is."""
+        return self.taken[-1]
+
+    def take(self, fit: Measured) -> None:
+        """One more fit is taken."""
+        self.taken.append(fit)
+        self.asked.append(None)
+        if self.progress is not None:
+            self.progress(fit.step(fit.noise))
+
+    def step(
+        self,
+        tries: int,
+        chosen: Callable[[FitResult, Suspects], Sequence[Suspect]] | None = None,
+        best: Callable[[Sequence[Tried]], Tried] = best_of,
+        begin: tuple[FitResult, Sequence[Run]] | None = None,
+    ) -> bool:
+        """Ask, fit, take the best and drop what it makes superfluous; whether this is the end.
+
+        What is fitted is the first of the significant suspects, or of what is `chosen`, from where
+        the last fit ended, or where another of the same parameters, of its own runs, did.
+        """
+        result, runs = begin or (self.last.result, self.runs)
+        self.asked[-1] = found = self.fits.suspects(result, runs)
+        promising = found.significant if chosen is None else chosen(result, found)
+        last = None if chosen is None else self.last
+        made = tried_steps(result, self.runs, self.apart, promising, tries, self.fits, last)
+        if not made:
+            self.ending = "no suspect that could be freed is significant"
+            return True
+        one = best(made)
+        self.passed += [fit for fit, _, _ in made if fit is not one[0]]
         # Each time with the noise that the fit with more in it shows.
-        if not tried.step(tried.noise).bic < fits[-1].step(tried.noise).bic:
-            ending = f"{tried.step(tried.noise).change} was tried, and makes BIC larger"
-            break
-        several, apart = fitted_to, held
-        climb(tried)
-        for spare in _spare(fits):
-            assert spare.value is not None
+        noise = one[0].noise
+        if not one[0].step(noise).bic < self.last.step(noise).bic:
+            self.ending = f"{one[0].step(noise).change} was tried, and makes BIC larger"
+            self.passed.append(one[0])
+            return True
+        _, self.runs, self.apart = one
+        self.take(one[0])
+        for spare in _spare(self.taken):
+            name, held = f"without {spare.path}", {spare.path: spare.value}
             try:
-                again = refit(
-                    fits[-1].result, several, fix={spare.path: spare.value}, noise_model="white"
-                )
-                fewer = Measured.of(again, several, apart, spare, removed=True)
+                again = self.fits.refit(name, self.last.result, self.runs, fix=held)
+                fewer = self.fits.measured(again, self.runs, self.apart, spare, removed=True)
             except InputError:  # It cannot do without.
                 continue
-            noise = fits[-1].noise
-            if fewer.step(noise).bic < fits[-1].step(noise).bic:
-                climb(fewer)
-    noise = fits[-1].noise
-    steps = [
-        dataclasses.replace(fit.step(noise), suspects=found)
-        for fit, found in zip(fits, asked, strict=True)
-    ]
-    steps[-1] = dataclasses.replace(steps[-1], result=_as_asked(result, steps, several))
-    return StepwiseSelection(tuple(steps), ending)
+            noise = self.last.noise
+            if fewer.step(noise).bic < self.last.step(noise).bic:
+                self.take(fewer)
+        return False
+
+    def steps(self) -> list[Step]:
+        """What was taken, with the white noise of the last."""
+        return [
+            dataclasses.replace(fit.step(self.last.noise), suspects=found)
+            for fit, found in zip(self.taken, self.asked, strict=True)
+        ]
 
 
-def _as_asked(result: FitResult, steps: Sequence[Step], runs: Sequence[Run]) -> FitResult:
+def as_asked(result: FitResult, steps: Sequence[Step], runs: Sequence[Run]) -> FitResult:
     """The last fit, with the noise that the first one was asked for with."""
     if len(steps) == 1:
         return result

@@ -1,0 +1,177 @@
+"""`giajax explain`: what runs need beyond the model that is assumed, step by step."""
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Unpack
+
+import typer
+
+from ..runtime.process import configure, is_stopped, stopped_status
+from ..runtime.text import InputError
+from ._commands import (
+    Paths,
+    Renamed,
+    command,
+    say_progress,
+    say_written,
+    stop_if_asked,
+)
+from ._fit import Progress, Settings, named_task, show_result, typed
+from ._on_result import show
+
+if TYPE_CHECKING:
+    from ..fitting import FitResult
+    from ..tasks import FitTask
+
+FITS, FIRST = "fits", "first.json"
+PAGE = "explain.html"
+
+
+@command(
+    """\b
+Examples:
+  giajax explain --data run.csv --out why
+  giajax explain --data run.csv --out why --budget 15m --tries 1
+  giajax explain --data a.csv --data b.csv --validation c.csv
+  giajax explain --data run.csv --free air.drag_coefficient --loss huber
+  giajax explain --resume why
+
+It fits what `giajax fit` would fit, asks the residuals, fits the first few suspects
+and keeps the best, takes out again what that makes superfluous, and asks again.
+The last fifth of each run, or each --validation run, judges the steps; the final
+model is fitted to all of --data. All other options are those of `giajax fit`.
+
+\b
+DIR holds the final result as `giajax fit` writes it, explain.json with steps,
+parameters and models that fit nearly as well, explain.html, and each fit that was
+made in DIR/fits. Ctrl-C and --budget end it with all of this for what was reached;
+the same with --resume DIR goes on to the same steps.
+
+\b
+Exit status: 0 the final fit converged; 1 it did not; 2 bad input or usage;
+130 interrupted, 143 by SIGTERM.""",
+    settings_after="config",
+)
+def explain(
+    data: Annotated[Paths, "RUN.csv", "A run to explain, together with others."] = None,
+    config: Annotated[Path | None, "FILE.toml", "A fit definition to begin with."] = None,
+    validation: Annotated[Paths, "RUN.csv", "A run to judge the steps by."] = None,
+    rename: Renamed = None,
+    max_steps: Annotated[int | None, "N", "Steps at most (6).", 0] = None,
+    tries: Annotated[int | None, "N", "Suspects that are fitted at each step (3).", 1] = None,
+    resume: Annotated[Path | None, "DIR", "Go on with the explanation there."] = None,
+    out: Annotated[Path | None, "DIR", "Where it goes (giajax-out/RUN-explained)."] = None,
+    force: Annotated[bool, "Begin anew over what is there."] = False,
+    page: Annotated[bool, "Write explain.html."] = True,
+    figures: Annotated[bool, "Draw pictures of the result."] = True,
+    as_json: Annotated[bool, "--json", "Print explain.json instead of tables."] = False,
+    quiet: Annotated[bool, "Print errors only."] = False,
+    **settings: Unpack[Settings],
+) -> None:
+    """Find out what runs need beyond a model, and fit it.
+
+    A late camera, a wind, friction, swapped axes, outliers, and all else that the model knows.
+    """
+    from ..recordings import fit_settings, parse_rename, write_files
+    from ..report import check_page
+
+    said = typed(settings)
+    budget = said.pop("budget", None)
+    if resume is not None:
+        if data or config or out is not None or said:
+            raise typer.BadParameter(
+                "--resume takes data and settings from the folder: leave out the others"
+            )
+        task, folder = _resumed(resume), resume
+    else:
+        task = named_task(None, config, None, None, bool(data)).on_top(
+            **said,
+            data=data or None,
+            validation=validation or None,
+            rename=parse_rename(rename or []),
+            origin="the command line",
+        )
+        if not task.data:
+            raise typer.BadParameter("there is no data: give at least one run with --data RUN.csv")
+        named = task.out
+        folder = named.with_name(f"{named.name}-explained") if out is None else out
+        task = task.on_top(out=folder)
+    seconds = fit_settings({"budget": budget} if budget else {}).budget_s
+    if page:
+        check_page(folder / PAGE, force=force or resume is not None)
+    configure()
+    from ..fitting import Budget
+    from ..report import report_page, write_result
+    from ..studies import MOST, explain as explained
+
+    left = None if seconds is None else Budget(seconds)
+    ready = task.prepare()
+    first = _begun(ready, folder, resumed=resume is not None, force=force, quiet=quiet)
+    found = explained(
+        first,
+        ready.runs,
+        validation=ready.validation,
+        held_out=ready.held_out_runs,
+        max_steps=MOST if max_steps is None else max_steps,
+        tries=tries,
+        budget_s=None if left is None else max(left.left(), 0.0),
+        folder=folder,
+        say=say_progress(quiet),
+    )
+    record, result = found.record, found.result
+    files = write_result(result, found.runs, folder, figures=figures and not is_stopped())
+    written = {folder / record.file: record.to_json().encode()}
+    write_files(written, force=True)
+    if page:
+        # It has a section for each record that lies beside the result.
+        source = folder / "result.json"
+        written[folder / PAGE] = report_page(result, found.runs, source=source)
+        write_files(written, force=True)
+    if as_json:
+        typer.echo(record.to_json(), nl=False)
+    elif not quiet:
+        show(record, result)
+        print()
+        show_result(result, task.definition)
+        say_written(folder, [path.name for path in (*written, *files)])
+    if record.ended in ("budget", "interrupted"):
+        how = f"to go on: giajax explain --resume {shlex.quote(str(folder))}"
+        typer.echo(f"giajax: {record.ending}; {how}", err=True)
+    if is_stopped():
+        raise typer.Exit(stopped_status())
+    raise typer.Exit(0 if result.status == "converged" else 1)
+
+
+def _resumed(folder: Path) -> "FitTask":
+    """The task of an explanation that was stopped; an InputError where there is none."""
+    from ..tasks import FitTask
+
+    if not (folder / FITS / FIRST).exists():
+        raise InputError(f"{folder} has no explanation to go on with: give the folder of one")
+    return FitTask.again(folder / FITS / FIRST).on_top(out=folder)
+
+
+def _begun(ready: Any, folder: Path, *, resumed: bool, force: bool, quiet: bool) -> "FitResult":
+    """The first fit of a prepared task, which is made and kept unless an explanation goes on."""
+    from ..fitting import load_result
+    from ..recordings import make_folder, write_files
+    from ..report import check_folder
+
+    path = folder / FITS / FIRST
+    if path.exists() and not (resumed or force):
+        raise InputError(
+            f"{folder} holds an explanation: go on with giajax explain --resume {folder}, give "
+            "another --out, or --force to begin anew"
+        )
+    if resumed:
+        return load_result(path)
+    check_folder(folder, ready.runs, ready.setup.config, force=force)
+    for old in (folder / FITS).glob("*.json"):
+        old.unlink()
+    result = ready.run(stop_if_asked if quiet else Progress(ready.setup))
+    if result.status != "interrupted":
+        make_folder(folder / FITS)
+        write_files({path: result.to_json().encode()}, force=True)
+        # As it is when the explanation goes on.
+        result = load_result(path)
+    return result

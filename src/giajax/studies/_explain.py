@@ -1,0 +1,573 @@
+"""What runs need beyond a model: it grows until its residuals ask for nothing, with a journal."""
+
+import dataclasses
+import functools
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..fitting import Budget, FitResult, Suspect, load_result, matching_runs
+from ..models import capabilities
+from ..noise import robust_deviation
+from ..recordings import FitSettings, Run, hold_out, make_folder, read_run, write_files, write_run
+from ..runtime.files import read_bytes
+from ..runtime.limits import JOURNAL_BYTES
+from ..runtime.records import from_plain, plain_data
+from ..runtime.text import InputError, time_in_words
+from ._refit import StudyRecord, fit_key, refit
+from ._stepwise import (
+    MOST,
+    TRIES,
+    Climb,
+    Fits,
+    Measured,
+    Step,
+    Tried,
+    all_axes,
+    best_of,
+    is_one,
+    name_of,
+    turned_back,
+)
+from ._suspects import Suspects
+from ._systematic import with_suspects
+
+NEARNESS = 6.0
+"""A model whose BIC is not higher by more than this fits nearly as well: odds of 1 to 20."""
+
+ROBUST = "huber"
+"""The loss where outliers are seen: with others a wrong model takes its misfit for outliers."""
+
+_ITERATIONS = 30  # of a step
+_MEMBERS = 2  # of a group, beside the first
+_AGAINST = 3.0  # standard deviations of a prior that a nuisance is off by
+_SPIKE = 5.0  # robust deviations by which an outlier differs from its neighbours
+_FEWEST, _SHARE = 3, 0.002  # outliers, in number and of all cells, from which on they count
+
+
+@dataclasses.dataclass(frozen=True)
+class ExplainedStep:
+    """One fit of an explanation.
+
+    Attributes:
+        change: a path or a choice, `without` one, or "-" for the first.
+        kind: of the suspect, as of `giajax.fitting.Suspect`; "start" for the first.
+        taken: whether it is a step, or was tried alone.
+        p_value: of the test that asked for it, corrected for the number of tests.
+        chi_square, parameters, values, bic: with the white noise of the last step.
+        held_out: root mean square error of what no step was fitted to, in units of the noise.
+        estimates: value and standard error (SI) of the parameters that were asked for, by path.
+    """
+
+    change: str
+    kind: str
+    taken: bool
+    p_value: float | None
+    chi_square: float
+    parameters: int
+    values: int
+    bic: float
+    held_out: float | None
+    estimates: dict[str, tuple[float, float | None]]
+
+
+@dataclasses.dataclass(frozen=True)
+class ExplainedParameter:
+    """A parameter that was asked for, with its errors (SI).
+
+    Attributes:
+        standard_error: conditional on the selected model.
+        selection_error: how far the models that fit nearly as well are from it, as a root mean
+            square with weights exp(-difference of BIC / 2) (Buckland and others 1997).
+        spread: the difference between the largest and the smallest of their values.
+        total_error: standard and selection error in quadrature.
+    """
+
+    path: str
+    unit: str
+    value: float
+    standard_error: float | None
+    selection_error: float
+    spread: float
+    total_error: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Explanation(
+    StudyRecord,
+    file="explain.json",
+    head={"explain_version": 1},
+    remedy="explain the data anew",
+):
+    """What a run needs beyond the model that was assumed, step by step.
+
+    Attributes:
+        fit: key of the final fit.
+        ended: "selected", "steps", "budget" or "interrupted": what ended it.
+        ending: one sentence on that.
+        status, verdict: of the final fit; the sentences say what speaks against its model.
+        loss: how residuals counted.
+        outliers: cells that differ from both of their neighbours as no noise does.
+        steps: the first is the fit that was begun from.
+        tried: fits that were made and not taken.
+        near: places among `tried` of those whose BIC is within `nearness` of the last step.
+        parameters: those that were asked for.
+        axes: whether the runs were recorded in other axes; what was fitted lies beside this file.
+    """
+
+    fit: str
+    ended: Literal["selected", "steps", "budget", "interrupted"]
+    ending: str
+    status: str
+    verdict: str
+    sentences: tuple[str, ...]
+    loss: str
+    outliers: int
+    steps: tuple[ExplainedStep, ...]
+    tried: tuple[ExplainedStep, ...]
+    near: tuple[int, ...]
+    nearness: float
+    parameters: tuple[ExplainedParameter, ...]
+    axes: bool = False
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """What the final model has beyond the first one."""
+        kept: list[str] = []
+        for step in self.steps[1:]:
+            path = step.change.removeprefix("without ")
+            kept = [one for one in kept if one != path] if path != step.change else [*kept, path]
+        return tuple(kept)
+
+
+@dataclasses.dataclass(frozen=True)
+class Explained:
+    """An explanation, its final fit, and the runs as that sees them."""
+
+    record: Explanation
+    result: FitResult
+    runs: list[Run]
+
+
+class _Stopped(Exception):  # noqa: N818
+    """Time is up, or Ctrl-C came."""
+
+
+JOURNAL = "explain.jsonl"
+FITS = "fits"
+"""In the folder of an explanation, a result for each fit that it made."""
+
+
+class Kept(Fits):
+    """Fits that end with a budget, are told, and are kept in a folder, if there is one.
+
+    The journal has a line for each thing that was computed, in order; where it holds what is asked
+    for next, that is taken. The same steps follow, because each depends on those before alone.
+    """
+
+    def __init__(
+        self, folder: Path | None, head: dict[str, Any], budget: Budget | None, say: Any
+    ) -> None:
+        self.folder, self.budget, self.say = folder, budget, say or (lambda sentence: None)
+        self.lines: list[dict[str, Any]] = []
+        self.at = 1
+        first = plain_data({"giajax_explain": 1, **head})
+        if folder is not None:
+            make_folder(folder / FITS)
+            self.lines = _read(folder / JOURNAL)
+        if self.lines[:1] != [first]:
+            self.lines = [first]
+
+    def _next(self, name: str) -> dict[str, Any] | None:
+        if self.at < len(self.lines) and self.lines[self.at].get("name") == name:
+            self.at += 1
+            return self.lines[self.at - 1]
+        del self.lines[self.at :]
+        if self.budget is not None and self.budget.left() <= 0:
+            raise _Stopped
+        return None
+
+    def _keep(self, line: dict[str, Any]) -> None:
+        if self.folder is not None:
+            self.lines.append(plain_data(line))
+            text = "".join(f"{json.dumps(each)}\n" for each in self.lines)
+            write_files({self.folder / JOURNAL: text.encode()}, force=True)
+            self.at += 1
+
+    def suspects(self, result: FitResult, runs: Sequence[Run]) -> Suspects:
+        """As of `Fits`, or of the journal."""
+        if (line := self._next("suspects")) is not None:
+            return from_plain(Suspects, line["suspects"], f"{JOURNAL} is damaged", "remove it")
+        self.say("testing what the fit held or left out ...")
+        found = super().suspects(result, runs)
+        self._keep({"name": "suspects", "suspects": found})
+        return found
+
+    def refit(self, name: str, result: FitResult, runs: Sequence[Run], **changed: Any) -> FitResult:
+        """As of `Fits`, or of the journal."""
+        if (line := self._next(name)) is not None:
+            if "refused" in line:
+                raise InputError(line["refused"])
+            assert self.folder is not None
+            return load_result(self.folder / FITS / line["fit"])
+        self.say(f"fitting {name} ...")
+        try:
+            # What is not there by then goes on in the fits that follow.
+            limits: dict[str, Any] = {"budget": self.budget, "max_iterations": _ITERATIONS}
+            found = super().refit(name, result, runs, **changed, **limits)
+        except InputError as error:
+            self._keep({"name": name, "refused": str(error)})
+            raise
+        if found.reason in ("interrupted", "budget"):
+            raise KeyboardInterrupt if found.reason == "interrupted" else _Stopped
+        if self.folder is None:
+            return found
+        file = f"{len(list((self.folder / FITS).glob('*.json'))):03d}.json"
+        path = self.folder / FITS / file
+        write_files({path: found.to_json().encode()}, force=True)
+        self._keep({"name": name, "fit": file})
+        # As it is when the journal is read: what follows is the same to the last digit.
+        return load_result(path)
+
+
+def _read(path: Path) -> list[dict[str, Any]]:
+    """The whole lines of a journal; none where there is none."""
+    try:
+        data = read_bytes(path, JOURNAL_BYTES)
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): mend that") from None
+    try:
+        return [dict(json.loads(line)) for line in data.splitlines()]
+    except (ValueError, TypeError):
+        raise InputError(f"{path} is damaged: remove it, and explain the data anew") from None
+
+
+def explain(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    *,
+    validation: Sequence[Run] = (),
+    held_out: Sequence[Run] = (),
+    max_steps: int = MOST,
+    tries: int | None = None,
+    budget_s: float | None = None,
+    folder: str | Path | None = None,
+    say: Callable[[str], None] | None = None,
+) -> Explained:
+    """Grow the model of a fit until its residuals ask for nothing that it could have.
+
+    Step by step as `giajax.ladder`: parameters that were held or left out are freed, choices of the
+    model and of recorded axes are made the other way, and what later steps make superfluous is
+    taken out again. Beyond that,
+
+    - where outliers are seen, residuals count by Huber's loss from the first step on;
+    - suspects that the data can hardly tell apart are one try, and each of them is fitted;
+    - where a model says that one part is to be believed rather than another (the memory of a joint
+      rather than friction by rate), that one is taken if it fits nearly as well;
+    - a nuisance that the data move far from what is usual is tried without its prior;
+    - without validation or `held_out` the last fifth of each run is kept from all steps, to judge
+      them by. The final model is fitted to all of it, with the noise that the first one looked for.
+
+    The errors of the final fit are conditional on its model, which these data selected. What the
+    models that fit nearly as well (`NEARNESS`) say otherwise is added as the `selection_error`.
+
+    Arguments:
+        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
+        validation: further runs to judge the steps by.
+        held_out: what was held out of the fitted runs, likewise.
+        max_steps: steps at most.
+        tries: suspects that are fitted at each of them (3, or what it was in the folder).
+        budget_s: wall time after which it ends with what it has reached, s.
+        folder: keep a journal and the fits there; what is there of the same explanation is not done
+            again.
+        say: called with a sentence on what is done next, and on each step.
+
+    Returns:
+        The record, with the final fit and its runs. After Ctrl-C it is that of the steps so far.
+
+    Raises:
+        InputError: as `giajax.ladder`, or a folder that cannot be written.
+    """
+    if tries is not None and tries < 1:
+        raise InputError(f"{tries} suspects cannot be tried at each step: give 1 or more")
+    whole = matching_runs(result.runs, runs)
+    apart = [*validation, *held_out]
+    fitted = whole
+    if not apart:
+        parts = hold_out(whole, ["last"])
+        if all(part.fitted is not None for part in parts):
+            fitted = [part.fitted for part in parts if part.fitted is not None]
+            apart = [part.held for part in parts if part.held is not None]
+    home = None if folder is None else Path(folder)
+    before = [] if home is None else _read(home / JOURNAL)
+    tries = tries or (before[0].get("tries") if before else None) or TRIES
+    head = {"fit": fit_key(result), "apart": [run.sha256 for run in apart], "tries": tries}
+    kept = Kept(home, head, None if budget_s is None else Budget(budget_s), say)
+    climb = Climb(fitted, apart, kept)
+    told = _Told(climb, kept.say, max_steps)
+    climb.progress = told.step
+    outliers, ended = 0, "steps"
+    try:
+        if result.status == "interrupted":
+            raise KeyboardInterrupt
+        begun = kept.refit("the first model", result, fitted)
+        first = Measured.of(begun, fitted, apart)
+        outliers = _outliers(first)
+        if outliers and result.loss.is_linear:
+            kept.say(f"{outliers} outliers: residuals count by the loss {ROBUST}")
+            begun = kept.refit(f"the first model by {ROBUST}", begun, fitted, loss=ROBUST)
+            first = Measured.of(begun, fitted, apart)
+        climb.take(first)
+        chosen = functools.partial(_chosen, tries)
+        # White noise may lead a wrong model astray, to where what is missing acts no more.
+        begin = (result, whole) if _moved(result, first.result) and not outliers else None
+        for _ in range(max_steps):
+            end = climb.step(tries + _MEMBERS, chosen, _preferred, begin)
+            if end and begin is not None:
+                end = climb.step(tries + _MEMBERS, chosen, _preferred)
+            begin = None
+            if end:
+                ended = "selected"
+                break
+        else:
+            climb.ending = f"{max_steps} steps were allowed"
+    except (KeyboardInterrupt, _Stopped) as stop:
+        ended = "budget" if isinstance(stop, _Stopped) else "interrupted"
+        climb.ending = (
+            f"the budget of {time_in_words(budget_s or 0.0)} was used up"
+            if ended == "budget"
+            else "interrupted: this is what was reached"
+        )
+    if not climb.taken:
+        climb.take(Measured.of(result, fitted, apart))
+    stopped = ended == "interrupted"
+    final, seen = _final(result, climb, whole, home, kept, stopped)
+    record = _record(result, climb, final, ended, outliers)
+    if len(record.steps) > 1 or final.loss != result.loss:
+        sentence = (
+            "the model was selected by these data: standard errors are conditional on it, and "
+            "explain.json adds what models say that fit nearly as well (selection_error)"
+        )
+        final = dataclasses.replace(final, conditions=(*final.conditions, sentence))
+    return Explained(record, final, seen)
+
+
+def _moved(result: FitResult, other: FitResult) -> bool:
+    """Whether a parameter that was asked for is elsewhere, by more than its standard error."""
+    return any(
+        abs(float(one.value) - float(other.free[path].value)) > (one.standard_error or 0.0)
+        for path, one in result.free.items()
+        if path in result.asked
+    )
+
+
+class _Told:
+    """Sentences on steps, and on how long the others may take."""
+
+    def __init__(self, climb: Climb, say: Callable[[str], None], most: int) -> None:
+        self.climb, self.say, self.most, self.clock = climb, say, most, Budget(0.0)
+
+    def step(self, step: Step) -> None:
+        """A fit was taken."""
+        done = len(self.climb.taken) - 1
+        taken = -self.clock.left()
+        self.clock = Budget(0.0)
+        name = "the first model" if step.suspect is None else f"step {done}: {step.change}"
+        reduced = step.chi_square / max(step.values - step.parameters, 1)
+        left = time_in_words(taken * max(self.most - done, 0))
+        more = f"; at most about {left} left, and less where nothing is asked for" if done else ""
+        self.say(f"{name}: chi-square {step.chi_square:.5g} ({reduced:.3g} a value){more}")
+
+
+def _outliers(fit: Measured) -> int:
+    """Cells that differ from both neighbours by far; 0 where they are too few to matter."""
+    count = cells = 0
+    for response in fit.at:
+        rest = response.observed - response.predicted
+        for column in rest.T:
+            known = column[~np.isnan(column)]
+            spike = known[1:-1] - (known[:-2] + known[2:]) / 2
+            usual = robust_deviation(spike)
+            cells += len(known)
+            # Beside an outlier its neighbours differ by half as much, the other way; of what rings
+            # by as much, and of what bends the same way.
+            around = np.stack([spike[:-2], spike[2:]]) + spike[1:-1] / 2
+            alone = np.all(np.abs(around) < 0.3 * np.abs(spike[1:-1]) + usual, axis=0)
+            count += int(np.sum(alone & (np.abs(spike[1:-1]) > _SPIKE * usual)))
+    return count if count >= max(_FEWEST, _SHARE * cells) else 0
+
+
+def _chosen(tries: int, result: FitResult, found: Suspects) -> list[Suspect]:
+    """What is fitted next: so many suspects, each with those that are alike."""
+    rows = {row.path: row for row in reversed(found.rows) if is_one(result.model, row)}
+    rather = capabilities.rather(result.model)
+    listed: dict[str, Suspect] = {}
+    groups = 0
+    for suspect in found.significant:
+        path = suspect.path
+        if groups == tries or path in listed or path not in rows:
+            continue
+        groups += 1
+        others = [other for other in (*suspect.together, *suspect.alike) if other in rows]
+        likelier = rather.get(path.partition("[")[0])
+        members = [path, *others[:_MEMBERS], *([likelier] if likelier in rows else [])]
+        for member in members:
+            listed.setdefault(member, rows[member])
+    # What is usual of a camera is given up last: it may make up for anything.
+    return list(listed.values()) or _against_priors(result)
+
+
+def _against_priors(result: FitResult) -> list[Suspect]:
+    """Nuisances that the data move far from what is known of them before."""
+    priors = FitSettings.shared_with(result.config).priors
+    far = []
+    for path in result.nuisances:
+        prior, estimate = priors.get(path), result.free.get(path)
+        if prior is None or prior.deviation is None or estimate is None:
+            continue
+        pull = abs(float(estimate.value) - prior.value) / prior.deviation
+        if pull > _AGAINST:
+            row = Suspect(
+                path, "prior", estimate.unit, prior.value, None, None, pull**2, 1, None, True
+            )
+            far.append(row)
+    return far
+
+
+def _preferred(made: Sequence[Tried]) -> Tried:
+    """The fit of the lowest BIC, or one nearly as low of what is rather to be believed."""
+    best, _, _ = of_best = best_of(made)
+    assert best.suspect is not None
+    name = capabilities.rather(best.result.model).get(best.suspect.path.partition("[")[0])
+    for each in made:
+        one = each[0]
+        if one.suspect is not None and one.suspect.path == name:
+            nearly = one.step(best.noise).bic < best.step(best.noise).bic + NEARNESS
+            return each if nearly else of_best
+    return of_best
+
+
+def _final(
+    result: FitResult,
+    climb: Climb,
+    whole: list[Run],
+    home: Path | None,
+    kept: Kept,
+    stopped: bool,
+) -> tuple[FitResult, list[Run]]:
+    """The last fit, of the whole runs and with the noise asked for, and these runs."""
+    changes = [fit.suspect.path for fit in climb.taken if fit.suspect is not None]
+    seen = whole
+    for way in [way for change in changes for way in all_axes() if name_of(way) == change]:
+        seen = [turned_back(run, way) for run in seen]
+    if seen is not whole and home is not None:
+        # Other commands read them again.
+        seen = [_written(run, home) for run in seen]
+    last = climb.last.result
+    if not changes and last.loss == result.loss:
+        last = result
+    elif not stopped:
+        asked = result.config.get("noise_model", "correlated")
+        try:
+            kept.say("fitting the selected model to all of the data ...")
+            again = refit(last, seen, noise_model=asked, check=True)
+            last = again if again.status == "converged" else last
+        except InputError:  # It cannot be evaluated a little inside of its bounds.
+            pass
+        except KeyboardInterrupt:
+            stopped = True
+    known = climb.asked[-1]
+    if not stopped:
+        try:
+            kept.say("testing what the selected model held or left out ...")
+            return with_suspects(last, seen), seen
+        except (KeyboardInterrupt, InputError):
+            pass
+    if known is not None:
+        last = dataclasses.replace(last, suspects=known.rows, verdict=known.judge(last))
+    return last, seen
+
+
+def _written(run: Run, folder: Path) -> Run:
+    """A run, read from a file of its own."""
+    path = folder / f"{run.name}.csv"
+    write_run(path, run.times, run.values, definition=run.definition, digits=17, force=True)
+    return dataclasses.replace(read_run(path), name=run.name, observed=run.observed)
+
+
+def _record(
+    result: FitResult, climb: Climb, final: FitResult, ended: Any, outliers: int
+) -> Explanation:
+    noise = climb.last.noise
+    asked = result.asked
+
+    def row(step: Step, taken: bool) -> ExplainedStep:
+        suspect = step.suspect
+        known = step.result.parameters
+        return ExplainedStep(
+            change=step.change,
+            kind="start" if suspect is None else suspect.kind,
+            taken=taken,
+            p_value=None if suspect is None or step.removed else suspect.p_value,
+            chi_square=step.chi_square,
+            parameters=step.parameters,
+            values=step.values,
+            bic=step.bic,
+            held_out=step.held_out,
+            estimates={
+                path: (float(known[path].value), known[path].standard_error)
+                for path in asked
+                if path in known and isinstance(known[path].value, float | int)
+            },
+        )
+
+    steps = [row(step, True) for step in climb.steps()]
+    tried = [row(fit.step(noise), False) for fit in climb.passed]
+    near = [i for i, one in enumerate(tried) if one.bic - steps[-1].bic < NEARNESS]
+    parameters = []
+    for path in asked:
+        one = final.parameters.get(path)
+        if one is None or not isinstance(one.value, float | int):
+            continue
+        last = steps[-1].estimates.get(path, (float(one.value), None))[0]
+        others = [
+            (tried[i].estimates[path][0] - last, tried[i].bic - steps[-1].bic)
+            for i in near
+            if path in tried[i].estimates
+        ]
+        weights = np.exp(-np.array([0.0, *(max(by, 0.0) for _, by in others)]) / 2)
+        apart = np.array([0.0, *(shift for shift, _ in others)])
+        selection = float(np.sqrt(np.sum(weights * apart**2) / np.sum(weights)))
+        error = one.standard_error
+        parameters.append(
+            ExplainedParameter(
+                path=path,
+                unit=one.unit,
+                value=float(one.value),
+                standard_error=error,
+                selection_error=selection,
+                spread=float(np.ptp(apart)),
+                total_error=None if error is None else float(np.hypot(error, selection)),
+            )
+        )
+    return Explanation(
+        fit=fit_key(final),
+        ended=ended,
+        ending=climb.ending,
+        status=final.status,
+        verdict=final.verdict.status,
+        sentences=tuple(reason.sentence for reason in final.verdict.reasons),
+        loss=str(final.config.get("loss", "linear")),
+        outliers=outliers,
+        steps=tuple(steps),
+        tried=tuple(tried),
+        near=tuple(near),
+        nearness=NEARNESS,
+        parameters=tuple(parameters),
+        axes=any(step.kind == "axes" for step in steps),
+    )

@@ -1,0 +1,121 @@
+"""`giajax explain`: a run is explained, kept, and gone on with, by its files."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_fit_command import giajax
+
+from giajax import load_result, read_run, write_run
+from giajax.apps.synthetic import synthesise
+from giajax.mechanics.arm import takeichi_20m
+from giajax.models import ArmModel
+from giajax.schema.parameters import replace
+from small_arm import LINKS, NOISE, START, TRUTH
+
+ROOT = Path(__file__).resolve().parents[2]
+STEPS = ["-", "muscle.end_correction"]
+
+
+@pytest.fixture(scope="module")
+def explained(tmp_path_factory):
+    """The folder of an explanation of a muscle whose end correction, 1.7, is held at 1.5."""
+    folder = tmp_path_factory.mktemp("explained")
+    for name in ("muscle.csv", "muscle.toml"):
+        shutil.copy(ROOT / "data" / "synthetic" / name, folder / name)
+    wrong = ("--fix", "muscle.end_correction=1.5", "--out", folder / "why", "--no-figures")
+    status, out, error = giajax("explain", "--data", folder / "muscle.csv", *wrong)
+    assert status == 0, error
+    return folder / "why", out, error
+
+
+def steps(folder):
+    return [step["change"] for step in json.loads((folder / "explain.json").read_text())["steps"]]
+
+
+def test_steps_parameters_files_and_a_page(explained):
+    folder, out, error = explained
+    assert steps(folder) == STEPS
+    assert "the data ask for muscle.end_correction beyond the first model" in out
+    assert "verdict: adequate" in out
+    assert "step 1: muscle.end_correction: chi-square" in error
+    result = load_result(folder)
+    assert result.parameters["muscle.end_correction"].value == pytest.approx(1.7, abs=0.02)
+    page = (folder / "explain.html").read_text()
+    assert "What the data ask for" in page
+    assert "Content-Security-Policy" in page
+    # What is left of it is a result for all other commands.
+    status, _, _ = giajax("predict", "--model", folder, "--data", folder.parent / "muscle.csv")
+    assert status == 0
+    assert all(load_result(path) for path in (folder / "fits").glob("*.json"))
+
+
+def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
+    folder = tmp_path / "why"
+    shutil.copytree(explained[0], folder)
+    whole = (folder / "explain.json").read_bytes()
+    lines = (folder / "explain.jsonl").read_text().splitlines()
+    # The first step is tried, and not taken yet.
+    (folder / "explain.jsonl").write_text("\n".join(lines[:4]) + "\n")
+    for name in ("explain.json", "explain.html", "result.json"):
+        (folder / name).unlink()
+    asked = ("explain", "--resume", folder, "--no-figures", "--no-page", "--quiet")
+    assert giajax(*asked) == (0, "", "")
+    assert (folder / "explain.json").read_bytes() == whole
+    assert not (folder / "explain.html").exists()
+    # Of a budget that is over the steps are those so far, and what goes on says how.
+    (folder / "explain.jsonl").write_text("\n".join(lines[:4]) + "\n")
+    status, out, error = giajax(*asked[:-1], "--budget", "0.001s")
+    assert (status, steps(folder)) == (0, STEPS[:1])
+    assert "was used up" in out
+    assert f"giajax explain --resume {folder}" in error
+    # What is there is not written over, nor mixed with other settings.
+    other = ("explain", "--data", folder.parent / "none.csv", "--out", folder)
+    for options, sentence in (
+        (("explain", "--resume", tmp_path), "has no explanation to go on with"),
+        (("explain", "--resume", folder, "--loss", "huber"), "leave out the others"),
+        ((*other[:2], explained[0].parent / "muscle.csv", *other[3:]), "holds an explanation"),
+        (("explain",), "give at least one run"),
+    ):
+        status, _, error = giajax(*options)
+        assert status == 2
+        assert sentence in error
+        assert error.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_a_turned_camera_and_a_wind_are_found_beside_what_is_always_uncertain(tmp_path):
+    """Where the truth is known: camera free, and both omissions at once."""
+    times = np.linspace(0.0, 6.0, 61)
+    stated = ArmModel(takeichi_20m(LINKS))
+    missing = {"camera.rotation": [0.0, 0.0, 0.05], "air.wind": [0.0, 0.1, 0.05]}
+    run = synthesise(
+        replace(stated, {**TRUTH, **missing}),
+        times,
+        {
+            "joint01_command": 0.6 * np.clip(times / 0.5, 0, 1),
+            "joint02_command": -0.5 * np.clip(times / 0.5, 0, 1),
+        },
+        [f"link{link:02d}_{axis}" for link in (2, 4) for axis in "xyz"],
+        noise={"position": NOISE},
+        seed=3,
+        definition={"uncertainty": {"defaults": True}, "noise": {"position_m": NOISE}},
+        constants=stated,
+    )
+    path = write_run(tmp_path / "run.csv", run.times, run.values, definition=run.definition)
+    start = [word for each in START.items() for word in ("--start", "{}={}".format(*each))]
+    options = ("--out", tmp_path / "why", "--no-figures", "--no-page", "--tries", "2", "--quiet")
+    status, _, error = giajax("explain", "--data", path, *start, *options)
+    assert (status, error) == (0, "")
+    record = json.loads((tmp_path / "why" / "explain.json").read_text())
+    found = {step["change"].partition("[")[0] for step in record["steps"][1:]}
+    # To the first order a base that is turned is a camera that is turned.
+    assert "air.wind" in found
+    assert found & {"camera.rotation", "base_rotation"}
+    assert record["verdict"] == "adequate"
+    (drag,) = [one for one in record["parameters"] if one["path"] == "air.drag_coefficient"]
+    assert abs(drag["value"] - TRUTH["air.drag_coefficient"]) < 3 * drag["total_error"]
+    assert load_result(tmp_path / "why").nuisances
+    assert read_run(path).name == "run"

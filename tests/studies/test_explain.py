@@ -1,0 +1,91 @@
+"""Explanations: what is missing is found, kept, resumed and said, and no more than that."""
+
+import dataclasses
+import signal
+
+import numpy as np
+import pytest
+from curves import NOISE, recorded
+from test_suspects import fitted
+
+from giajax import InputError
+from giajax.mechanics.arm import takeichi_20m
+from giajax.models import ArmModel, capabilities
+from giajax.schema.parameters import declared, left_out
+from giajax.studies import Explanation, explain, ladder
+
+
+@pytest.mark.slow
+def test_two_omissions_are_found_and_judged_by_time_that_no_step_saw():
+    recording = recorded(late=0.05, rub=0.05, seed=2)
+    told = []
+    found = explain(fitted(recording), recording, say=told.append)
+    record, result = found.record, found.result
+    assert set(record.added) == {"late", "rub"}
+    assert (record.ended, record.verdict, record.outliers) == ("selected", "adequate", 0)
+    for path, truth in {"late": 0.05, "rub": 0.05, "amplitude": 2.0, "decay": 0.7}.items():
+        one = result.parameters[path]
+        assert one.value == pytest.approx(truth, abs=3 * one.standard_error)
+    first, last = record.steps[0], record.steps[-1]
+    # The final model is fitted to all of it, and the steps to four fifths.
+    assert sum(channel.n for run in result.runs for channel in run.channels.values()) == 360
+    assert last.values == 288
+    assert last.held_out == pytest.approx(1, abs=0.3)
+    assert first.held_out > 1.5 * last.held_out
+    assert all(step.p_value < 0.05 for step in record.steps[1:])
+    assert any("step 1" in sentence and "left" in sentence for sentence in told)
+    assert any("selected by these data" in sentence for sentence in result.conditions)
+    for one in record.parameters:
+        assert one.total_error == pytest.approx(np.hypot(one.standard_error, one.selection_error))
+        assert one.selection_error <= one.spread
+    assert Explanation.of_json(record.to_json()) == record
+    assert record.is_of(result)
+    # The ladder of the same likelihood takes the same steps.
+    steps = ladder(fitted(recording), recording)
+    assert [step.change for step in record.steps] == [step.change for step in steps.steps]
+
+
+def test_outliers_are_seen_first_and_a_right_model_stays():
+    recording = recorded(seed=5)
+    found = explain(fitted(recording), recording)
+    assert [step.change for step in found.record.steps] == ["-"]
+    assert (found.record.added, found.record.verdict) == ((), "adequate")
+    assert found.result.parameters["decay"].value == fitted(recording).parameters["decay"].value
+    assert all(one.selection_error <= 0.5 * one.standard_error for one in found.record.parameters)
+    values = {name: column.copy() for name, column in recording.values.items()}
+    for name, column in values.items():
+        column[np.random.default_rng(len(name)).choice(120, 6, replace=False)] += 30 * NOISE
+    spoilt = dataclasses.replace(recording, values=values)
+    found = explain(fitted(spoilt), spoilt, max_steps=1)
+    assert found.record.outliers >= 10
+    assert found.record.loss == "huber"
+    one = found.result.parameters["decay"]
+    assert one.value == pytest.approx(0.7, abs=3 * one.standard_error)
+
+
+def test_what_ends_it_early_gives_all_that_was_reached():
+    recording = recorded(late=0.05, rub=0.05, seed=2)
+    first = fitted(recording)
+    assert explain(first, recording, budget_s=0.0).record.ended == "budget"
+
+    def stop(sentence):
+        if "step 1" in sentence:
+            signal.raise_signal(signal.SIGINT)
+
+    found = explain(first, recording, say=stop)
+    assert found.record.ended == "interrupted"
+    assert len(found.record.steps) == 2
+    assert found.record.steps[1].chi_square < found.record.steps[0].chi_square
+    assert found.record.fit
+    with pytest.raises(InputError, match="0 suspects cannot be tried"):
+        explain(first, recording, tries=0)
+
+
+def test_the_memory_of_a_joint_is_rather_to_be_believed_than_friction():
+    model = ArmModel(takeichi_20m(2))
+    assert set(capabilities.rather(model)) == {"joints.friction"}
+    name = capabilities.rather(model)["joints.friction"]
+    assert "joints.memory.strength" in left_out(model)
+    assert "joints.memory.strength" in declared(capabilities.variants(model)[name])
+    assert capabilities.rather(capabilities.variants(model)[name]) == {}
+    assert capabilities.rather(fitted(recorded(seed=5)).model) == {}
