@@ -4,8 +4,17 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
-from giajax.studies._score import Table, alike, projected, score
+from giajax.studies._score import (
+    Table,
+    alike,
+    beyond_mixture,
+    drop_beyond,
+    projected,
+    scatter,
+    score,
+)
 
 pytestmark = pytest.mark.quick
 FREE = (-np.inf, np.inf)
@@ -182,3 +191,47 @@ def test_with_priors_noise_alone_is_significant_as_often_as_it_says():
         rest = projected([table(-y, columns[:, :2], columns[:, 2:3])], known)
         count += score(rest, [0], [-np.inf], [np.inf]).p_value < 0.05
     assert abs(count / 500 - 0.05) < 4 * np.sqrt(0.05 * 0.95 / 500)
+
+
+def test_what_a_column_takes_beyond_others_is_that_of_refits():
+    columns = smooth()
+    y = columns @ [1.0, 2.0, 0.5, 0.3] + np.random.default_rng(3).normal(size=200)
+    rest = projected([table(-y, columns[:, :2], columns[:, 2:])])
+    expected = squares(y, columns[:, :3]) - squares(y, columns)
+    assert drop_beyond(rest, [1], [0]) == pytest.approx(expected, rel=1e-9)
+    assert drop_beyond(rest, [0, 1], []) == pytest.approx(
+        squares(y, columns[:, :2]) - squares(y, columns), rel=1e-9
+    )
+
+
+@pytest.mark.parametrize("weights", [[1.0], [2.0] * 5, [3, 1, 0.2, 0.01], np.geomspace(1, 1e-6, 9)])
+def test_a_mixture_of_chi_squares(weights):
+    weights = np.asarray(weights, dtype=float)
+    drawn = np.random.default_rng(4).standard_normal((200_000, len(weights))) ** 2 @ weights
+    for chance in (0.5, 0.1, 0.01, 0.001):
+        value = float(np.quantile(drawn, 1 - chance))
+        assert beyond_mixture(weights, value) == pytest.approx(chance, rel=0.2)
+    if np.ptp(weights) == 0:
+        far = 60 * weights.sum()
+        assert np.log(beyond_mixture(weights, far)) == pytest.approx(
+            np.log(chi2.sf(far / weights[0], len(weights))), rel=0.01
+        )
+    assert beyond_mixture(np.zeros(3), 1.0) == 1.0
+
+
+def test_how_far_amounts_scatter_is_found_and_noise_is_not():
+    """300 draws: of none 5 % are significant, and the deviation of others is not far off."""
+    random, columns = np.random.default_rng(7), smooth()
+    asked = np.stack([np.sin(k * np.linspace(0, 3, 200)) for k in range(1, 9)], axis=-1)
+    named, found = 0, []
+    for _ in range(300):
+        noise = random.normal(size=200)
+        rest = projected([table(noise, columns[:, :2], asked)])
+        named += scatter(rest, range(8)).p_value < 0.05
+        moved = noise - asked @ random.normal(0, 0.5, size=8)
+        there = scatter(projected([table(moved, columns[:, :2], asked)]), range(8))
+        found.append((there.step[0], there.p_value))
+    assert named / 300 < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 300)
+    deviations, chances = np.transpose(found)
+    assert np.sqrt(np.mean(deviations**2)) == pytest.approx(0.5, rel=0.1)
+    assert np.median(chances) < 1e-6

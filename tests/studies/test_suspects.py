@@ -3,11 +3,15 @@
 import dataclasses
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from curves import NOISE, TRUTH, OwnHeights, curve, recorded
 
-from giajax import InputError, fit, suspects
+from giajax import InputError, Run, fit, replace, suspects, write_result
+from giajax.report import suspect_rows
+from giajax.runtime.arrays import Scalar
+from giajax.schema.parameters import parameter
 from giajax.studies import inquiry, is_disturbed, linearised, with_suspects
 from toy_model import Decay, run
 
@@ -271,3 +275,63 @@ def test_responses_that_are_not_those_of_the_fit_are_noticed():
     random = np.random.default_rng(0).normal(size=at.predicted.shape)
     moved = dataclasses.replace(at, predicted=at.predicted + NOISE * random)
     assert is_disturbed(result, [recording], [moved])
+
+
+class Three(Decay):
+    """A decay with three parts that are left out: one is the other two together, but for a bit."""
+
+    first: Scalar = parameter(0.0, unit="m", doc="a part")
+    second: Scalar = parameter(0.0, unit="m", doc="a part")
+    both: Scalar = parameter(0.0, unit="m", doc="both, and a bit")
+
+    def predict(self, inputs, channels):
+        height, fine = super().predict(inputs, channels)
+        one, two, bit = (jnp.sin(k * inputs) for k in (2.0, 5.0, 9.0))
+        moved = self.first * one + self.second * two + self.both * (one + two + 0.02 * bit)
+        return {name: row + moved for name, row in height.items()}, fine
+
+
+def told(**true):
+    times = np.linspace(0.0, 4.0, 200)
+    exact, _ = replace(Three(), true).predict(jnp.asarray(times), ("tip_z",))
+    noise = NOISE * np.random.default_rng(2).normal(size=200)
+    values = {"tip_z": np.asarray(exact["tip_z"]) + noise}
+    free = {"free_motion": True}
+    recording = Run.from_arrays(times, values, noise={"position": NOISE}, definition=free)
+    result = fit(Three(), recording, free=FREE, start={"amplitude": 1.5}, check=False)
+    return suspects(result, recording)
+
+
+def test_what_data_cannot_tell_apart_is_told_as_one():
+    found = told(both=0.05)
+    assert found.promising[0].path == "both"
+    # Neither of the others explains it alone, and both together do.
+    assert set(found.of("both").together) == {"first", "second"}
+    assert found.of("first").explained_by == found.of("second").explained_by == "both"
+    rows = suspect_rows(found, 1)
+    assert [row[0] for row in rows] == ["both"]
+    assert "first" in rows[0][-1]
+    # One of them is seen in what has it as a part, and explains all of that.
+    found = told(first=0.05)
+    assert found.promising[0].path == "first"
+    assert found.of("first").together == ()
+    assert found.of("both").explained_by == "first"
+
+
+def test_what_nothing_explains_is_said_and_drawn(tmp_path):
+    recording = recorded()
+    values = dict(recording.values)
+    values["tip_x"] = values["tip_x"] + 3 * NOISE * np.sin(23 * recording.times)
+    odd = dataclasses.replace(recording, values=values)
+    asked = with_suspects(fitted(odd), odd)
+    reason = asked.verdict.reasons[-1]
+    assert reason.code == "unexplained"
+    assert reason.size == pytest.approx(np.sqrt(1 + 9 / 2 / 3), rel=0.1)
+    assert "left_over.png" in reason.sentence
+    write_result(asked, odd, tmp_path)
+    assert (tmp_path / "left_over.png").stat().st_size > 10_000
+    # What a suspect explains is no such thing.
+    late = recorded(late=0.1)
+    codes = [each.code for each in with_suspects(fitted(late), late).verdict.reasons]
+    assert codes
+    assert "unexplained" not in codes

@@ -49,6 +49,7 @@ UNEXPLAINED = "unexplained"
 """Code of a verdict's reason: no suspect explains the residuals."""
 
 _EXPLAINED = 1.1  # times the noise, as much as a verdict lets pass
+_SECOND_ORDER = 0.1  # of what the residuals have beyond the noise
 
 LEVEL = 0.05
 """A corrected p-value below this is significant."""
@@ -123,7 +124,9 @@ class Suspects:
         """
         verdict = result.verdict.without("suspect").without(UNEXPLAINED)
         if verdict.status == "inadequate":
-            if self.left_over < _EXPLAINED:
+            before = self.chi_square / max(self.values - self.parameters, 1) - 1
+            # What a step to the first order leaves of something large is none of this.
+            if self.left_over < _EXPLAINED or self.left_over**2 - 1 < _SECOND_ORDER * before:
                 return verdict
             sentence = (
                 "none of what can be freed explains it: with the best suspects in, the residuals "
@@ -608,15 +611,17 @@ def _in_groups(
     rest: Projected,
     scale: float,
 ) -> list[Suspect]:
-    """Rows with what the data tell as one, of those that are significant.
+    """Rows with what the data tell as one.
 
-    The most promising one leads a group with whatever leaves too little of it: another, or as few
-    as it takes. What it leaves too little of itself is explained by it.
+    The most promising significant one leads a group with whatever leaves too little of it: another,
+    or as few as it takes. What it leaves too little of itself is explained by it.
     """
     enough = _APART * scale
     key = {id(row): (row.path, row.kind == "switch") for row in rows}
     left = [
-        row for row in promising(rows) if (row.p_value or 0.0) < LEVEL and key[id(row)] in tested
+        row
+        for row in promising(rows)
+        if (row.chi_square_drop or 0.0) > enough and key[id(row)] in tested
     ][:_MOST]
     told: dict[int, Suspect] = {}
 
@@ -626,6 +631,8 @@ def _in_groups(
 
     while left:
         first, *left = left
+        if (first.p_value or 0.0) >= LEVEL:
+            continue
         members = [other for other in left if beyond(first, [other]) < enough]
         if not members:
             while len(members) < min(_MEMBERS, len(left)) and beyond(first, members) >= enough:
