@@ -1,6 +1,7 @@
 """The arm's options as a model: through their files and back, and as parameters of a fit."""
 
 import equinox as eqx
+import jax
 import numpy as np
 import pytest
 
@@ -112,7 +113,7 @@ def fitted():
     )
     known = {path: float(giajax.get(truth, path)) for path in held}
     model = ArmModel(arm_from_definition(through_toml(section)))
-    result = fit(model, run, free=list(start), start=start, fix=known)
+    result = fit(model, run, free=list(start), start=start, fix=known, nuisances=False)
     return truth, run, result
 
 
@@ -151,3 +152,34 @@ def test_a_wind_that_jumps_is_refused_where_added_mass_is_on():
                 model.prepare(run)
         else:
             model.prepare(run)
+
+
+def test_a_stiffness_that_drifts_and_one_for_each_joint():
+    """Against another method, differences, and the arm that has it by then."""
+    model = ArmModel(giajax.takeichi_20m(2))
+    fast = {"joint01_command": RAMP, "tip_z": 0 * TIMES}
+    run = giajax.Run.from_arrays(TIMES, fast, definition={"arm": {"links": 2}})
+    inputs = model.prepare(run)
+
+    def tip(drift, **integration):
+        there = giajax.replace(model, {"joints.stiffness_drift": drift})
+        there = there.with_integration(**integration)
+        return there.predict(inputs, ("tip_z",))[0]["tip_z"]
+
+    ours = {"solver": "springs5", "tolerance": 1e-10}
+    leaking = tip(-0.05, **ours)
+    other = tip(-0.05, solver="tsit5", tolerance=1e-11)
+    np.testing.assert_allclose(leaking, other, rtol=0, atol=1e-8)
+    still = model.with_integration(**ours).predict(inputs, ("tip_z",))[0]["tip_z"]
+    assert np.max(np.abs(leaking - still)) > 1e-3
+    np.testing.assert_allclose(tip(0.0, **ours), still, rtol=0, atol=1e-9)
+    slope = jax.jvp(lambda drift: tip(drift, **ours), (-0.05,), (1.0,))[1]
+    differences = (tip(-0.05 + 1e-4, **ours) - tip(-0.05 - 1e-4, **ours)) / 2e-4
+    np.testing.assert_allclose(slope, differences, rtol=0, atol=1e-4 * np.max(np.abs(slope)))
+    joints = giajax.replace(
+        model, {"joints.stiffness_drift": -0.05, "joints.stiffness_factor": [1.0, 2.0]}
+    ).arm.joints
+    own = model.arm.joints.stiffness
+    np.testing.assert_allclose(joints.stiffness, own * np.array([1.0, 2.0]))
+    np.testing.assert_allclose(joints.at_time(4.0).stiffness, own * np.array([0.8, 1.6]))
+    np.testing.assert_allclose(joints.at_time(40.0).stiffness, 0)

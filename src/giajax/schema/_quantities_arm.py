@@ -167,6 +167,12 @@ class _Joints(Group):
         neutral=1.0,
         **EACH_JOINT,
     )
+    stiffness_drift = left_out(
+        "1/s",
+        "by how much the stiffness of the joints grows in a second, over what it is at 0 s",
+        lower=-1.0,
+        upper=1.0,
+    )
     friction = positive(
         0.1, "N m", "Coulomb friction of a joint", upper=1e3, optional=True, **EACH_JOINT
     )

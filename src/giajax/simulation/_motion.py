@@ -102,6 +102,12 @@ class Inputs(eqx.Module):
     pressure: Pressures | None = None
     begin: Scalar | None = None
 
+    def arm_at(self, time: Any) -> Arm:
+        """The arm as it is by then."""
+        if self.arm.joints.stiffness_drift is None:
+            return self.arm
+        return dataclasses.replace(self.arm, joints=self.arm.joints.at_time(time))
+
     def parts(self, state: "State") -> "Parts":
         """What the rows of a state are."""
         memory = 2 + self.arm.further_laws.rows
@@ -149,7 +155,8 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
     # A jump at the very end is no part of the motion, and would be bisected for nothing.
     time = jnp.minimum(time, inputs.end)
     angles, rates, memory, skin = inputs.parts(state)
-    arm, wind, laws = inputs.arm, inputs.wind, inputs.arm.joint_laws
+    arm, wind = inputs.arm_at(time), inputs.wind
+    laws = arm.joint_laws
     at = inputs.at(laws, time, angles, rates, memory)
     air = None if wind is None else along_links(arm, wind(time))
     gust = None if wind is None else along_links(arm, wind.rate(time))
@@ -207,8 +214,10 @@ class Strain(NamedTuple):
 def springs(time: Any, state: State, inputs: Inputs) -> Springs:
     """Mass matrix, and the slopes of the torques of the joints alone, in one state."""
     angles, rates, memory, skin = inputs.parts(state)
-    arm, laws = inputs.arm, inputs.arm.joint_laws
-    at = inputs.at(laws, jnp.minimum(time, inputs.end), angles, rates, memory)
+    time = jnp.minimum(time, inputs.end)
+    arm = inputs.arm_at(time)
+    laws = arm.joint_laws
+    at = inputs.at(laws, time, angles, rates, memory)
     slopes = [law.slopes(own) for law, own in laws.each(at)]
     # What runs away is explicit: the matrix of a pair, or of a law, need not be positive definite.
     if further := len(arm.joints.laws) + (arm.pneumatics is not None):
@@ -228,7 +237,7 @@ def pull(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"]:
     time = jnp.minimum(time, inputs.end)
     # The state and the arm are those of the matrices that this goes with, and constants as they
     # are: a derivative by a stiffness has spring and command in one small term, the deflection.
-    arm, state = jax.lax.stop_gradient((inputs.arm, state))
+    arm, state = jax.lax.stop_gradient((inputs.arm_at(time), state))
     angles, rates, memory, _ = inputs.parts(state)
     # Of the laws those that a command may move: the springs, those of one's own, and muscles.
     further = arm.further_laws.laws[len(arm.joints.hysteresis.laws) :]

@@ -1,5 +1,6 @@
 """The parts of an arm: links, joints with their axes, masses, air, and the law of contact."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -188,6 +189,7 @@ class Joints(eqx.Module):
     armature: Float[Array, ""] | PerJoint | None = parameter(JOINTS.armature)
     drive_lag: Float[Array, ""] | PerJoint | None = parameter(JOINTS.drive_lag)
     stiffness_factor: Float[Array, ""] | PerJoint | None = parameter(JOINTS.stiffness_factor)
+    stiffness_drift: Scalar | None = parameter(JOINTS.stiffness_drift)
     hysteresis: JointHysteresis = inline(default_factory=JointHysteresis)
     laws: dict[str, AbstractJointLaw] = eqx.field(default_factory=dict)
 
@@ -201,9 +203,18 @@ class Joints(eqx.Module):
         """Which joints take the yaw stiffness."""
         return np.abs(np.asarray(self.axes))[:, 2] > np.sqrt(0.5)
 
+    def at_time(self, time: Scalar) -> "Joints":
+        """With the stiffness at a time (s), where it drifts."""
+        if self.stiffness_drift is None:
+            return self
+        usual = 1.0 if self.stiffness_factor is None else self.stiffness_factor
+        # Joints that have leaked out do not push.
+        grown = usual * jnp.maximum(1 + self.stiffness_drift * time, 0)
+        return dataclasses.replace(self, stiffness_factor=grown, stiffness_drift=None)
+
     @property
     def stiffness(self) -> PerJoint:
-        """Stiffness of each joint, N m/rad."""
+        """Stiffness of each joint at 0 s, N m/rad."""
         usual = jnp.where(self.is_yaw, self.yaw_stiffness, self.pitch_stiffness)
         return usual if self.stiffness_factor is None else usual * self.stiffness_factor
 
