@@ -96,7 +96,6 @@ def test_an_array_is_off_as_a_whole_or_element_by_element(recorded):
     assert_allclose(get(moved, "links.diameter"), [0.33, 0.33, 0.22, 0.11], rtol=1e-12)
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize(
     ("uncertainty", "sentence"),
     [
@@ -111,7 +110,6 @@ def test_what_is_wrong_is_refused(recorded, uncertainty, sentence):
         prepared(stating(recorded, uncertainty))
 
 
-@pytest.mark.quick
 def test_runs_must_agree(recorded):
     one, other = (stating(recorded, {"camera.delay": size}) for size in (0.01, 0.02))
     other = dataclasses.replace(other, name="other", sha256=None)
