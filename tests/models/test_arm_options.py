@@ -183,3 +183,18 @@ def test_a_stiffness_that_drifts_and_one_for_each_joint():
     np.testing.assert_allclose(joints.stiffness, own * np.array([1.0, 2.0]))
     np.testing.assert_allclose(joints.at_time(4.0).stiffness, own * np.array([0.8, 1.6]))
     np.testing.assert_allclose(joints.at_time(40.0).stiffness, 0)
+
+
+def test_drives_with_a_gain_are_those_of_smaller_commands():
+    model = ArmModel(giajax.takeichi_20m(2))
+
+    def tip(model, gain):
+        fast = {"joint01_command": gain * RAMP, "tip_z": 0 * TIMES}
+        run = giajax.Run.from_arrays(TIMES, fast, definition={"arm": {"links": 2}})
+        return model.predict(model.prepare(run), ("tip_z",))[0]["tip_z"]
+
+    weak = giajax.replace(model, {"joints.drive_gain": 0.9})
+    np.testing.assert_allclose(tip(weak, 1.0), tip(model, 0.9), rtol=0, atol=1e-7)
+    lagging = giajax.replace(weak, {"joints.drive_lag": 0.2})
+    late = giajax.replace(model, {"joints.drive_lag": 0.2})
+    np.testing.assert_allclose(tip(lagging, 1.0), tip(late, 0.9), rtol=0, atol=1e-7)

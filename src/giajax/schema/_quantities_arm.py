@@ -158,6 +158,15 @@ class _Joints(Group):
     damping = freed_guess(
         0.05, "N m s/rad", "viscous damping of a joint's own rate", upper=1e2, **EACH_JOINT
     )
+    drive_gain = positive(
+        1.0,
+        "",
+        "angle that a joint's drive pulls towards over what is commanded",
+        upper=10,
+        optional=True,
+        neutral=1.0,
+        **EACH_JOINT,
+    )
     stiffness_factor = positive(
         1.0,
         "",

@@ -4,6 +4,7 @@ Both are piecewise linear, with jumps allowed at the knots, so one class serves 
 logged rows. The step-size controller must not step over those knots that are corners.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -186,6 +187,15 @@ class LaggedSignal(eqx.Module):
         left = self.transients[knot] * _left_over(time - times[knot], self.lag)
         behind = self.lag * self.signal.slopes[knot] - left
         return self.signal(time) - jnp.where(time >= times[0], behind, 0)
+
+
+def followed(signal: Signal, gain: Array | None, lag: Array | None) -> Signal | LaggedSignal:
+    """What drives make of a command: a gain and a lag (s), one or one for each; None: neither."""
+    if gain is not None:
+        signal = dataclasses.replace(
+            signal, values=signal.values * gain, slopes=signal.slopes * gain
+        )
+    return lagged(signal, lag)
 
 
 def lagged(signal: Signal, lag: Array | None) -> Signal | LaggedSignal:

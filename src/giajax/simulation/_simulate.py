@@ -21,7 +21,7 @@ from ._controller import check_method, step_size_controller
 from ._linearly_implicit import LinearlyImplicit, Solver, solver as solver_named
 from ._motion import Inputs, Rates, fastest_rate, motion
 from ._return_mapping import with_return_mapping
-from ._signal import Pressures, Signal, check_muscles, constant, lagged
+from ._signal import Pressures, Signal, check_muscles, constant, followed
 from ._trajectory import RESULTS, SimulationError, Trajectory
 
 # What disturbs an arm, and the steps that derivatives by a disturbance need.
@@ -208,8 +208,8 @@ def integrate(
         fastest = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
         if arm.joints.laws:
             mobility = jax.lax.stop_gradient(jnp.linalg.inv(mass_matrix(arm, state[0])))
-    followed = lagged(command, arm.joints.drive_lag)
-    moved = Inputs(arm, followed, wind, torque, eqxi.prevbefore(end), pressure)
+    pulled = followed(command, arm.joints.drive_gain, arm.joints.drive_lag)
+    moved = Inputs(arm, pulled, wind, torque, eqxi.prevbefore(end), pressure)
     controller: Any = stepsize_controller
     if not isinstance(controller, diffrax.StepTo):
         turning = arm.joints.further_laws.rows > 0

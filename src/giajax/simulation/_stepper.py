@@ -95,11 +95,12 @@ class Stepper(eqx.Module):
             raise InputError(f"the interval is {self.interval} s: give one positive number")
         if self.steps < 1:
             raise InputError(f"an interval has {self.steps} steps: give at least one")
-        if self.arm.joints.drive_lag is not None:
-            raise InputError(
-                "the arm has joints.drive_lag, which a motion that is decided on the way does not "
-                "follow: leave it out, or call simulate"
-            )
+        for name in ("drive_gain", "drive_lag"):
+            if getattr(self.arm.joints, name) is not None:
+                raise InputError(
+                    f"the arm has joints.{name}, which a motion that is decided on the way does "
+                    "not follow: leave it out, or call simulate"
+                )
         if is_concrete(self.tolerance) and self.tolerance is not None and not self.tolerance > 0:
             raise InputError(f"the tolerance is {self.tolerance}: give a positive number, or none")
         if self.tolerance is None:

@@ -21,7 +21,7 @@ from ..runtime.arrays import Array, Bool, Float, Int
 from ..runtime.programs import program
 from ..runtime.text import InputError
 from ._motion import Inputs, along_links
-from ._signal import Signal, constant, lagged, ramps, steps
+from ._signal import Signal, constant, followed, ramps, steps
 
 
 class RESULTS(eqx.Enumeration):
@@ -106,8 +106,9 @@ class Trajectory(eqx.Module):
 
     @property
     def followed(self) -> Float[Array, "sample joint"]:
-        """Angles that springs pull towards at the samples, rad: commands, after any lag."""
-        return jax.vmap(lagged(self.command, self.arm.joints.drive_lag))(self.times)
+        """Angles that springs pull towards at the samples, rad: commands by gain and lag."""
+        joints = self.arm.joints
+        return jax.vmap(followed(self.command, joints.drive_gain, joints.drive_lag))(self.times)
 
     @property
     def accelerations(self) -> Float[Array, "sample joint"]:

@@ -188,6 +188,7 @@ class Joints(eqx.Module):
     friction_rate: Scalar = parameter(JOINTS.friction_rate)
     armature: Float[Array, ""] | PerJoint | None = parameter(JOINTS.armature)
     drive_lag: Float[Array, ""] | PerJoint | None = parameter(JOINTS.drive_lag)
+    drive_gain: Float[Array, ""] | PerJoint | None = parameter(JOINTS.drive_gain)
     stiffness_factor: Float[Array, ""] | PerJoint | None = parameter(JOINTS.stiffness_factor)
     stiffness_drift: Scalar | None = parameter(JOINTS.stiffness_drift)
     hysteresis: JointHysteresis = inline(default_factory=JointHysteresis)
