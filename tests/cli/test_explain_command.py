@@ -64,6 +64,9 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
     asked = ("explain", "--resume", folder, "--no-figures", "--no-page", "--quiet")
     assert giajax(*asked) == (0, "", "")
     assert (folder / "explain.json").read_bytes() == whole
+    # What the journal had is not fitted again: there is one fit more, the one that it had lost.
+    before = len(list((explained[0] / "fits").iterdir()))
+    assert len(list((folder / "fits").iterdir())) == before + 1
     assert not (folder / "explain.html").exists()
     # Of a budget that is over the steps are those so far, and what goes on says how.
     (folder / "explain.jsonl").write_text("\n".join(lines[:4]) + "\n")
