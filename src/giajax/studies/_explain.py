@@ -57,7 +57,10 @@ class ExplainedStep:
         kind: of the suspect, as of `giajax.fitting.Suspect`; "start" for the first.
         taken: whether it is a step, or was tried alone.
         p_value: of the test that asked for it, corrected for the number of tests.
-        chi_square, parameters, values, bic: with the white noise of the last step.
+        chi_square: with the white noise of the last step.
+        parameters: number of fitted parameters.
+        values: number of measured values.
+        bic: Schwarz' criterion, with the same noise.
         held_out: root mean square error of what no step was fitted to, in units of the noise.
         estimates: value and standard error (SI) of the parameters that were asked for, by path.
     """
