@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from giajax.noise import beyond_mixture
 from giajax.studies._score import (
     Table,
     alike,
-    beyond_mixture,
     drop_beyond,
     projected,
     scatter,

@@ -33,6 +33,7 @@ from ._verdict import (
     Verdict as Verdict,
     VerdictStatus as VerdictStatus,
     alone_and_together as alone_and_together,
+    beyond_mixture as beyond_mixture,
     judge as judge,
     largest as largest,
     satterthwaite as satterthwaite,

@@ -17,6 +17,7 @@ from ..runtime.files import read_bytes
 from ..runtime.limits import JOURNAL_BYTES
 from ..runtime.records import from_plain, plain_data
 from ..runtime.text import InputError, time_in_words
+from ._axes import all_axes, name_of, turned_back
 from ._refit import StudyRecord, fit_key, refit
 from ._stepwise import (
     MOST,
@@ -26,11 +27,8 @@ from ._stepwise import (
     Measured,
     Step,
     Tried,
-    all_axes,
     best_of,
     is_one,
-    name_of,
-    turned_back,
 )
 from ._suspects import Suspects
 from ._systematic import with_suspects

@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 from scipy.linalg import solve_banded
-from scipy.special import fdtrc, ndtr, stdtr
+from scipy.special import fdtrc, stdtr
 
 from ..fitting import (
     Direction,
@@ -32,6 +32,7 @@ from ..noise import (
     Cells,
     ChannelNoise,
     Restricted,
+    beyond_mixture,
     by_second_differences,
     estimate,
     small_sample,
@@ -475,32 +476,6 @@ def scatter(rest: Projected, tests: Sequence[int]) -> Score:
     error = np.hypot(unsure / (2 * step), step / np.sqrt(2 * told_apart)) if step else unsure**0.5
     p_value = beyond_mixture(np.linalg.eigvalsh(spread), statistic)
     return Score(np.array([step]), np.array([error]), max(drop, 0.0), p_value)
-
-
-def beyond_mixture(weights: Array, value: float) -> float:
-    """Chance that a sum of independent chi-squares (1) with these weights exceeds a value.
-
-    By the saddlepoint of its distribution (Kuonen 1999), to a few hundredths of itself, however
-    small it is.
-    """
-    from scipy.optimize import brentq  # slow to import, and only a model that is wrong asks this
-
-    largest = float(np.max(weights, initial=0.0))
-    if largest <= 0:
-        return 1.0
-    scaled = np.maximum(weights, 0.0) / largest
-    ratio = value / largest
-
-    def slope(turn: float) -> float:
-        return float(np.sum(scaled / (1 - 2 * scaled * turn))) - ratio
-
-    if abs(slope(0.0)) < 1e-3 * float(np.sum(scaled)):
-        return 0.5  # at its mean, where it is about that and the formula has a pole
-    at = float(brentq(slope, -(len(scaled) + 1) / min(ratio, 1.0), 0.5 - 1e-14))
-    log = -0.5 * float(np.sum(np.log1p(-2 * scaled * at)))
-    away = np.sign(at) * np.sqrt(2 * (at * ratio - log))
-    bend = at * np.sqrt(2 * float(np.sum((scaled / (1 - 2 * scaled * at)) ** 2)))
-    return float(ndtr(-(away + np.log(bend / away) / away)))
 
 
 def _spread(

@@ -13,10 +13,11 @@ from ..recordings import PriorEntry, Run
 from ..runtime.aliases import warn_of_name
 from ..runtime.text import InputError
 from ..schema.parameters import declared, elements, left_out, switched_on
+from ._axes import all_axes, name_of, turned_back
 from ._candidates import in_full
 from ._refit import refit, with_fitted_state
 from ._score import Coordinates, responses_of, white_noise
-from ._suspects import Suspects, all_axes, name_of, suspects, turned_back
+from ._suspects import Suspects, suspects
 
 
 @dataclasses.dataclass(frozen=True)

@@ -105,16 +105,15 @@ class Arm(ShownAsTable, eqx.Module):
     @property
     def spring_stiffness(self) -> Float[Array, " joint"]:
         """Stiffness of the spring of each joint about its command, N m/rad; 0 with muscles."""
-        if self.pneumatics is None:
-            return self.joints.stiffness
-        driven = np.isin(np.arange(self.count), np.asarray(self.pneumatics.joints) - 1)
-        return jnp.where(driven, 0, self.joints.stiffness)
+        own = () if self.pneumatics is None else self.pneumatics.joints
+        driven = np.isin(np.arange(self.count) + 1, np.asarray(own))
+        return jnp.where(driven, 0, self.joints.stiffness) if own else self.joints.stiffness
 
     @property
     def joint_laws(self) -> JointLaws:
         """What acts in the joints: springs, dampers, hysteresis, more laws, and muscles."""
-        spring = Spring(self.spring_stiffness)
-        return JointLaws((spring, *self.joints.dampers, *self.further_laws.laws))
+        laws = (*self.joints.dampers, *self.further_laws.laws)
+        return JointLaws((Spring(self.spring_stiffness), *laws))
 
     @property
     def further_laws(self) -> JointLaws:
