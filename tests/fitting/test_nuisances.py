@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax import ArmModel, InputError, Prior, fit, model_for, takeichi_20m
+from giajax import ArmModel, InputError, Prior, fit, model_for, read_run, takeichi_20m
 from giajax.apps.synthetic import synthesise
 from giajax.fitting import set_up
+from giajax.models import capabilities
 from giajax.recordings import Definition
 from giajax.schema.parameters import get, replace
+from giajax.tasks._stored import reached_by
 from small_arm import LINKS, NOISE, START, TRUTH, small_run
 
 USUAL = ("camera.delay", "camera.clock_rate", "camera.scale", "links.diameter[0]")
@@ -101,7 +103,10 @@ def test_an_array_is_off_as_a_whole_or_element_by_element(recorded):
     [
         ({"camera.dealy": 0.1}, "camera.delay"),
         ({"links.mass": [0.1, 0.1]}, "has 2 values, and it has 4"),
-        ({"camera.delay": -0.1}, "camera.delay"),
+        ({"camera.delay": -0.1}, r"'camera.delay' must be a standard deviation"),
+        ({"camera.delay": "late"}, r"'camera.delay' must be a standard deviation"),
+        ({"links.mass": 0.1, "links.mass[1]": 0.2}, "state a list of all"),
+        ({"joints.friction": 0.01}, "left out here, .* state its value, too"),
         ({"defaults": "no"}, "must be true or false"),
     ],
 )
@@ -115,6 +120,47 @@ def test_runs_must_agree(recorded):
     other = dataclasses.replace(other, name="other", sha256=None)
     with pytest.raises(InputError, match=r"different \[uncertainty\] of camera.delay"):
         set_up(model_for([one]), [one, other])
+
+
+def test_what_is_left_out_is_expected_where_it_does_nothing(recorded):
+    """And joints of one kind by themselves, as what they scatter by."""
+    setup = prepared(stating(recorded, {"defaults": False, "base_rotation": 0.01}))
+    assert setup.priors["base_rotation[1]"] == Prior(0.0, deviation=0.01)
+    setup = prepared(stating(recorded, {"defaults": False, "joints.stiffness_factor": [0.1] * 4}))
+    assert setup.nuisances == tuple(f"joints.stiffness_factor[{joint}]" for joint in range(4))
+    assert setup.priors["joints.stiffness_factor[2]"] == Prior(1.0, deviation=0.1)
+    freed = prepared(
+        stating(recorded, {"defaults": False}),
+        free=["joints.stiffness_factor"],
+        priors={"joints.stiffness_factor": Prior(1.0, deviation=0.15)},
+    )
+    assert len(freed.parameters) == 4
+
+
+def test_rows_that_are_far_apart_are_no_frames(recorded):
+    rows = recorded.times[::10]
+    values = {name: row[::10] for name, row in recorded.values.items()}
+    slow = dataclasses.replace(recorded, times=20 * rows, values=values)
+    assert prepared(slow, free=["joints.damping"]).priors["camera.delay"].value == 0.075
+    one = dataclasses.replace(
+        recorded, times=rows[:1], values={name: row[:1] for name, row in recorded.values.items()}
+    )
+    known = capabilities.uncertain(model_for([one]), [one])
+    assert "camera.delay" not in known
+
+
+def test_an_arm_and_its_bench_have_those_of_the_arm():
+    runs = [read_run(f"data/synthetic/whole_{name}.csv") for name in ("arm", "joint")]
+    runs[0] = stating(runs[0])
+    model = model_for(runs)
+    assert set(capabilities.uncertain(model, runs)) >= {"links.diameter"}
+
+
+def test_another_fit_begins_with_a_camera_of_its_own(recorded):
+    result = fit(model_for([recorded]), recorded, max_iterations=1, check=False)
+    assert set(result.nuisances) == set(USUAL)
+    reached = reached_by(result)["values"]
+    assert set(reached) == set(result.asked)
 
 
 def made(late, rate, noise=NOISE / 5):

@@ -8,6 +8,7 @@ from ._configuration import (
     Tie as Tie,
     WarmStart as WarmStart,
     between as between,
+    in_full as in_full,
     resolved_ties as resolved_ties,
     set_up as set_up,
     tied as tied,

@@ -29,7 +29,7 @@ from ..schema.parameters import (
 )
 from ._coordinates import Layout, members, sharing
 from ._losses import AbstractLoss, check_loss, loss_of
-from ._nuisances import with_nuisances
+from ._nuisances import in_full as in_full, with_nuisances, with_scattering
 from ._weights import prior_of
 
 Module = TypeVar("Module", bound=eqx.Module)
@@ -474,6 +474,9 @@ def set_up(
         )
     groups = sharing(runs, settings.per_run, settings.groups)
     reached = {} if begin is None else begin.values_for(model)
+    named: list[Iterable[str]] = [settings.free or (), settings.start, settings.fix, reached]
+    named += [settings.priors, *(run.definition.uncertainty.deviations for run in runs)]
+    model = with_scattering(model, (path for each in named for path in each))
     settings, nuisances = with_nuisances(model, runs, settings)
     setup = _resolved(model, runs, settings, groups, reached, nuisances)
     check_loss(setup.loss)

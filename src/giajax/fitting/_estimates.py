@@ -115,6 +115,7 @@ def _correlated(state: FitState, statistics: Statistics) -> Iterator[Finding]:
         for i in range(len(determined))
         for j in range(i)
         if determined[j] < state.problem.shared and abs(correlation[i, j]) > _CORRELATED
+        if not {statistics.labels[determined[k]] for k in (i, j)} & set(state.setup.nuisances)
     ]
     for _, i, j in sorted(pairs, reverse=True)[:_MOST_PAIRS]:
         names = (statistics.labels[determined[j]], statistics.labels[determined[i]])
@@ -348,7 +349,10 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
         return f"its value is mostly that of its prior ({share:.0%} of what is known of it)"
     if error > abs(statistics.values[index]):
         return "barely determined: the standard error exceeds the value"
-    partners = largest_correlations(statistics.correlation, _NEARLY_THE_SAME)
+    nuisances = [statistics.labels[i] in state.setup.nuisances for i in statistics.determined]
+    # What is known of a nuisance is in the error already.
+    asked = np.where(np.logical_or.outer(nuisances, nuisances), 0.0, statistics.correlation)
+    partners = largest_correlations(asked, _NEARLY_THE_SAME)
     row = statistics.determined.index(index)
     if row in partners:
         partner, correlation = partners[row]

@@ -53,7 +53,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
     doubt = beyond_usual(state, known)
     active = np.asarray(state.active)
     places = zip(problem.paths, problem.positions, strict=True)
-    moved = [p for p, at in places if np.any(active[list(at)]) and p not in setup.nuisances]
+    moved = [path for path, at in places if np.any(active[list(at)])]
     usual = float(np.median(state.step_seconds[1:] or [0.0]))
     compiling = max(state.step_seconds[0] - usual, 0.0)
     elapsed = time.perf_counter() - began
@@ -84,13 +84,20 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         iterations=state.history[-1].number,
         gradient_check=done.gradient,
         tolerance_effect=done.tolerance,
-        conditions=tuple(capabilities.conditions(model, moved, setup.runs)),
+        conditions=_conditions(model, moved, setup),
         seconds=Seconds(compile=compiling, run=elapsed - compiling),
         versions={**versions(), **sources_of((model, setup.loss, setup.settings.optimiser))},
         config={**setup.config, "max_iterations": max_iterations},
         history=state.history,
         predictions=tuple(map(PredictedRun, setup.runs, predictions)),
     )
+
+
+def _conditions(model: AbstractModel, moved: Sequence[str], setup: Setup) -> tuple[str, ...]:
+    """On what the values are conditional; not what those of the nuisances are."""
+    own = tuple(f"{path.partition('[')[0]}:" for path in setup.nuisances)
+    sentences = capabilities.conditions(model, moved, setup.runs)
+    return tuple(each for each in sentences if not own or not each.startswith(own))
 
 
 def _lengths(state: FitState) -> list[tuple[str, float]]:

@@ -12,7 +12,14 @@ import numpy as np
 from ..models import AbstractModel, capabilities
 from ..recordings import FitSettings, PriorEntry, Run
 from ..runtime.text import InputError
-from ..schema.parameters import default_free, elements, switched_on
+from ..schema.parameters import (
+    Parameter,
+    declared,
+    default_free,
+    elements,
+    left_out,
+    switched_on,
+)
 
 
 def with_nuisances(
@@ -46,11 +53,11 @@ def with_nuisances(
         first, *others = elements(there, path)
         priors[first.path] = PriorEntry.model_validate(prior.contents())
         value = float(first.value(there))
-        ratios = {each.path: float(each.value(there)) / value for each in others}
+        ratios = {each.path: float(each.value(there)) / (value or 1.0) for each in others}
         ties |= _followers(path, first.path, {p: f"{r!r} * " * (r != 1) for p, r in ratios.items()})
     for path, deviations in stated.items():
         if path.partition("[")[0] not in theirs:
-            _add(switched_on(model, [path]), path, deviations, priors, ties)
+            _add(_neutrally(model, path), path, deviations, priors, ties)
     if not priors:
         return settings, ()
     changed = {"priors": {**settings.priors, **priors}, "ties": {**settings.ties, **ties}}
@@ -75,6 +82,45 @@ def _stated(runs: Sequence[Run]) -> dict[str, Any]:
                     "separately"
                 )
     return stated
+
+
+def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
+    """The model with what a path names on, where it does nothing yet, and in full."""
+    name = path.partition("[")[0]
+    absent = left_out(model).get(name)
+    if absent is not None:
+        about = absent.declaration
+        if not about.lower < about.neutral < about.upper:
+            raise InputError(
+                f"[uncertainty] names {path}, which is left out here, so that nothing is expected "
+                "of it: state its value, too"
+            )
+        model = absent.set(model, about.neutral)
+    if name in capabilities.scattering(model):
+        model = in_full(model, declared(model)[name])
+    return model
+
+
+def in_full(model: AbstractModel, parameter: Parameter) -> AbstractModel:
+    """The model with a value of this parameter for each joint or link, not one for all."""
+    value = np.asarray(parameter.value(model))
+    if value.ndim or parameter.any_number:
+        return model
+    for other in declared(model).values():
+        count = np.asarray(other.value(model)).shape
+        if other.declaration.per and not other.declaration.each and count:
+            return parameter.set(model, np.full(count, float(value)))
+    return model
+
+
+def with_scattering(model: AbstractModel, paths: Iterable[str]) -> AbstractModel:
+    """The model with a value of its own for each joint of what is named and may scatter."""
+    named = {path.partition("[")[0] for path in paths}
+    for path in capabilities.scattering(model):
+        if path in named:
+            model = switched_on(model, [path])
+            model = in_full(model, declared(model)[path])
+    return model
 
 
 def _add(

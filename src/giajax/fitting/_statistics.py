@@ -151,9 +151,10 @@ def _noise_errors(
     known = np.array([names[index] in nuisances for index in determined], dtype=bool)
     if not np.any(known) or np.all(known):
         return {}
-    across = covariance[np.ix_(known, ~known)]
-    inner = np.linalg.pinv(covariance[np.ix_(known, known)], rcond=1e-12, hermitian=True)
-    alone = np.diag(covariance)[~known] - np.sum(across * (inner @ across), axis=0)
+    correlation = correlation_matrix(covariance)
+    across = correlation[np.ix_(known, ~known)]
+    inner = np.linalg.pinv(correlation[np.ix_(known, known)], rcond=1e-12, hermitian=True)
+    alone = np.diag(covariance)[~known] * (1 - np.sum(across * (inner @ across), axis=0))
     asked = np.asarray(determined)[~known].tolist()
     return dict(zip(asked, np.sqrt(np.maximum(alone, 0.0)).tolist(), strict=True))
 

@@ -56,6 +56,7 @@ from ._protocol import (
     Line as Line,
     Scene as Scene,
     build_model as build_model,
+    model_class as model_class,
     model_for as model_for,
     parameter_values as parameter_values,
 )

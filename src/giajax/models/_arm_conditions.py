@@ -122,6 +122,7 @@ def preset_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) -> lis
 # a recording by hand take a frame and 50 ms at most; 29.97 frames a second are called 30; a scale
 # of known length is read to a hundredth, as is the width of a balloon.
 _LATEST = 0.05
+_FRAME = 0.1  # rows that are farther apart are not all of its pictures
 _CLOCK_RATE = 1e-3
 _SIZE = 1e-2
 
@@ -132,13 +133,19 @@ def usual_uncertainty(arm: Arm, sensors: Sensors, runs: Sequence[Run]) -> dict[s
     The delay is expected in the middle of what it may be: half of a frame and 25 ms, and as much
     is its deviation.
     """
-    kinds = {run.channels[name].kind for run in runs for name in run.observations}
-    rows = sensors.rows(kinds).values()
-    positions = any(shows is sensors.camera for _, shows in rows)
-    pictures = any(run.channels[n].quantity == "pixel" for run in runs for n in run.observations)
-    frames = [float(np.median(np.diff(run.times))) for run in runs if run.times is not None]
+    frames, positions = [], False
+    for run in runs:
+        channels = [run.channels[name] for name in run.observations]
+        rows = sensors.rows({channel.kind for channel in channels}).values()
+        recorded = any(shows is sensors.camera for _, shows in rows)
+        positions = positions or recorded
+        pictures = any(channel.quantity == "pixel" for channel in channels)
+        if (recorded or pictures) and run.times is not None and len(run.times) > 1:
+            frames.append(min(float(np.median(np.diff(run.times))), _FRAME))
     known: dict[str, Prior] = {}
-    if (positions or pictures) and frames:
+    # The clock of a camera of its own is that camera's.
+    own = any(pinhole.delay is not None for pinhole in sensors.camera.pinholes.values())
+    if frames and not own:
         half = round((max(frames) + _LATEST) / 2, 6)
         known[CAMERA.delay.path] = Prior(half, deviation=half)
         known[CAMERA.clock_rate.path] = Prior(0.0, deviation=_CLOCK_RATE)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ..recordings import Run
 from ..runtime.text import InputError
-from ..schema import KINDS
+from ..schema import KINDS, Prior
 from ..schema.parameters import as_in, declared, inline, left_out, replace
 from . import capabilities
 from ._protocol import AbstractModel, Prediction, Scene, model_class
@@ -180,6 +180,17 @@ class SeveralModels(AbstractModel):
             for old in self.parts
             for name, other in capabilities.variants(old).items()
         }
+
+    def uncertain(self, runs: Sequence[Run]) -> dict[str, Prior]:
+        """What each of them never knows exactly of its own runs."""
+        known: dict[str, Prior] = {}
+        for part in self.parts:
+            known |= capabilities.uncertain(part, [run for run in runs if run.model == part.kind])
+        return known
+
+    def scattering(self) -> tuple[str, ...]:
+        """What may scatter in each of them."""
+        return tuple(p for part in self.parts for p in capabilities.scattering(part))
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         """Those of the model of the run's kind."""

@@ -348,7 +348,7 @@ def beyond_mixture(weights: np.ndarray, value: float) -> float:
     from scipy.optimize import brentq  # slow to import, and only a model that is wrong asks this
 
     largest = float(np.max(weights, initial=0.0))
-    if largest <= 0:
+    if largest <= 0 or value <= 0:
         return 1.0
     scaled = np.maximum(weights, 0.0) / largest
     ratio = value / largest
@@ -358,6 +358,8 @@ def beyond_mixture(weights: np.ndarray, value: float) -> float:
 
     if abs(slope(0.0)) < 1e-3 * float(np.sum(scaled)):
         return 0.5  # at its mean, where it is about that and the formula has a pole
+    if slope(0.5 - 1e-14) < 0:
+        return 0.0
     at = float(brentq(slope, -(len(scaled) + 1) / min(ratio, 1.0), 0.5 - 1e-14))
     log = -0.5 * float(np.sum(np.log1p(-2 * scaled * at)))
     away = np.sign(at) * np.sqrt(2 * (at * ratio - log))

@@ -2,6 +2,7 @@
 
 from ._channels import (
     Channel as Channel,
+    infer_model as infer_model,
     parse_column as parse_column,
     parse_columns as parse_columns,
 )

@@ -1,5 +1,6 @@
 """The sections of measuring and fitting: noise, a fit, and the figures that it must reach."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self, TypedDict, get_args
 
@@ -160,8 +161,25 @@ class Uncertainty(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _unquoted_paths_are_paths(cls, table: Any) -> Any:
-        return flat(table) if isinstance(table, Mapping) else table
+    def _deviations_by_path(cls, table: Any) -> Any:
+        if not isinstance(table, Mapping):
+            return table
+        stated = flat(table)
+        for path, value in stated.items():
+            each = value if isinstance(value, list) and value else [value]
+            if path != "defaults" and not all(
+                isinstance(one, int | float) and not isinstance(one, bool) and 0 <= one < math.inf
+                for one in each
+            ):
+                raise ValueError(
+                    f"key {path!r} must be a standard deviation (SI), 0 of what is exact, or a "
+                    "list of them: correct it"
+                )
+            if (whole := path.partition("[")[0]) != path and whole in stated:
+                raise ValueError(
+                    f"key {whole!r} is of all elements, and {path!r} of one: state a list of all"
+                )
+        return stated
 
 
 class PriorEntry(Section):

@@ -194,7 +194,10 @@ def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
     about = [key for key in run_keys(model=False) if key != "noise"]
     definition = result.model.definition()
     model = {key: definition[key] for key in run.kind.sections if key in definition}
-    begun = {"arm": preset_of(run.definition)} if "arm" in model else {}
+    begun: dict[str, Any] = {"arm": preset_of(run.definition)} if "arm" in model else {}
+    if capabilities.uncertain(result.model, [run]):
+        # No device has recorded it.
+        begun["uncertainty"] = {"defaults": False}
     return Definition.parse(begun).merged_with(
         Definition.parse(
             {

@@ -1,5 +1,6 @@
 """The pictures that a fit leaves: recorded and fitted values, residuals, correlations."""
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -398,14 +399,16 @@ def left_over_figure(
 
 def _causes(result: FitResult, run: Run) -> dict[str, np.ndarray]:
     """What may be behind residuals, by its label: command, angle, and their rates."""
-    if not run.commands:
+    moved = {name: row for name, row in run.commands.items() if row.dtype.kind == "f"}
+    if not moved:
         return {}
-    name = max(run.commands, key=lambda each: float(np.ptp(run.commands[each])))
-    known = {name: run.commands[name]}
+    name = max(moved, key=lambda each: float(np.ptp(moved[each])))
+    known = {name: moved[name]}
     channel = run.channels[name]
     if channel.kind == "joint_command":
         angle = f"joint{channel.index:02d}_angle"
-        known |= predict(result.model, run, [angle])
+        with contextlib.suppress(InputError):  # A model of one's own may have none.
+            known |= predict(result.model_of(run), run, [angle])
     causes = {}
     for each, values in known.items():
         shown = run.channels[name].from_si(values)

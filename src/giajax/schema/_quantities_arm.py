@@ -178,7 +178,7 @@ class _Joints(Group):
     )
     stiffness_drift = left_out(
         "1/s",
-        "by how much the stiffness of the joints grows in a second, over what it is at 0 s",
+        "by how much the stiffness of the joints grows in a second, over that of the first row",
         lower=-1.0,
         upper=1.0,
     )

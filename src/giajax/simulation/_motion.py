@@ -92,6 +92,7 @@ class Inputs(eqx.Module):
         end: the last time before the end of the motion, s.
         pressure: supplied to muscles over time, or None where their controller does.
         begin: the time of a wind field at 0 of all these times, s; None for 0.
+        first: the time at which a stiffness that drifts has not done so yet, s; None for 0.
     """
 
     arm: Arm
@@ -101,12 +102,15 @@ class Inputs(eqx.Module):
     end: Scalar
     pressure: Pressures | None = None
     begin: Scalar | None = None
+    first: Scalar | None = None
 
     def arm_at(self, time: Any) -> Arm:
         """The arm as it is by then."""
         if self.arm.joints.stiffness_drift is None:
             return self.arm
-        return dataclasses.replace(self.arm, joints=self.arm.joints.at_time(time))
+        since = time if self.begin is None else self.begin + time
+        since = since if self.first is None else since - self.first
+        return dataclasses.replace(self.arm, joints=self.arm.joints.at_time(since))
 
     def parts(self, state: "State") -> "Parts":
         """What the rows of a state are."""

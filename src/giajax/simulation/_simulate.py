@@ -209,7 +209,7 @@ def integrate(
         if arm.joints.laws:
             mobility = jax.lax.stop_gradient(jnp.linalg.inv(mass_matrix(arm, state[0])))
     pulled = followed(command, arm.joints.drive_gain, arm.joints.drive_lag)
-    moved = Inputs(arm, pulled, wind, torque, eqxi.prevbefore(end), pressure)
+    moved = Inputs(arm, pulled, wind, torque, eqxi.prevbefore(end), pressure, first=begin)
     controller: Any = stepsize_controller
     if not isinstance(controller, diffrax.StepTo):
         turning = arm.joints.further_laws.rows > 0

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..fitting import Direction, FitResult, Response, SuspectKind, resolved_ties
+from ..fitting import Direction, FitResult, Response, SuspectKind, in_full, resolved_ties
 from ..models import AbstractModel
 from ..recordings import Run
 from ..runtime.text import InputError
@@ -165,18 +165,6 @@ def inquiry(
         impossible=impossible,
         following=following,
     )
-
-
-def in_full(model: AbstractModel, parameter: Parameter) -> AbstractModel:
-    """The model with a value of this parameter for each joint or link, not one for all."""
-    value = np.asarray(parameter.value(model))
-    if value.ndim or parameter.any_number:
-        return model
-    for other in declared(model).values():
-        count = np.asarray(other.value(model)).shape
-        if other.declaration.per and not other.declaration.each and count:
-            return parameter.set(model, np.full(count, float(value)))
-    return model
 
 
 def _free_direction(model: AbstractModel, known: dict[str, Parameter], path: str) -> Direction:

@@ -254,11 +254,12 @@ def quantity_names(result: FitResult, optimum: Optimum, asked: Sequence[str] | N
     """What is to be profiled, by the names that `profiled_of` takes.
 
     `asked` are labels, paths (of an array, or of what has a value for each run, all of its values)
-    or names of derived quantities; None for all free parameters of the model.
+    or names of derived quantities; None for all free parameters of the model that were asked for.
     """
     shared = optimum.labels[: optimum.state.problem.shared]
     names: list[str] = []
-    for path in shared if asked is None else asked:
+    by_default = [label for label in shared if label not in result.nuisances]
+    for path in by_default if asked is None else asked:
         found = (
             [path]
             if path in result.derived

@@ -7,14 +7,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..fitting import FitResult, Response, Suspect, matching_runs
+from ..fitting import FitResult, Response, Suspect, in_full, matching_runs
 from ..models import AbstractModel, capabilities
 from ..recordings import PriorEntry, Run
 from ..runtime.aliases import warn_of_name
 from ..runtime.text import InputError
 from ..schema.parameters import declared, elements, left_out, switched_on
 from ._axes import all_axes, name_of, turned_back
-from ._candidates import in_full
 from ._refit import refit, with_fitted_state
 from ._score import Coordinates, responses_of, white_noise
 from ._suspects import Suspects, suspects

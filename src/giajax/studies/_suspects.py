@@ -477,7 +477,9 @@ def _in_groups(
 
     def beyond(row: Suspect, others: Sequence[Suspect]) -> float:
         given = [place for other in others for place in tested[key[id(other)]]]
-        return drop_beyond(rest, tested[key[id(row)]], given)
+        # As many columns as it has take as much by chance.
+        chance = scale * (len(tested[key[id(row)]]) - 1)
+        return drop_beyond(rest, tested[key[id(row)]], given) - chance
 
     while left:
         first, *left = left

@@ -14,6 +14,7 @@ from ..recordings import (
     Definition,
     FitSettings,
     fit_settings,
+    infer_model,
     read_sidecar,
     read_table,
     sidecar_path,
@@ -341,7 +342,8 @@ class Plan:
         """The fits as tasks, one for each case: two with the same key are the same fit."""
         checksums = functools.cache(lambda path: tuple(checksums_of([path]).values()))
         sidecar = functools.cache(_said)
-        return [_task(self.fit(case), checksums, sidecar) for case in self.cases]
+        uncertain = functools.cache(_may_be_uncertain)
+        return [_task(self.fit(case), checksums, sidecar, uncertain) for case in self.cases]
 
 
 def _said(path: Path, rename: tuple[tuple[str, str], ...]) -> str:
@@ -363,7 +365,20 @@ def _said(path: Path, rename: tuple[tuple[str, str], ...]) -> str:
     return text
 
 
-def _task(fit: FitTask, checksums: Any, sidecar: Any) -> Task:
+def _may_be_uncertain(path: Path, rename: tuple[tuple[str, str], ...]) -> bool:
+    """Whether a run is of a model that knows of uncertain devices, and no sidecar denies them."""
+    from ..models import model_class
+
+    try:
+        said = read_sidecar(path)
+        kind = said.model or infer_model(read_table(path, dict(rename)).channels.values())
+    except InputError:  # The fit says what is wrong.
+        return False
+    known = said.uncertainty.defaults or bool(said.uncertainty.deviations)
+    return known and kind is not None and hasattr(model_class(kind), "uncertain")
+
+
+def _task(fit: FitTask, checksums: Any, sidecar: Any, uncertain: Any) -> Task:
     """A fit by the content of its files, which are then wherever they are."""
     if not fit.data:
         raise InputError("the plan has no data: give runs in it, or in its fit definition")
@@ -376,6 +391,7 @@ def _task(fit: FitTask, checksums: Any, sidecar: Any) -> Task:
     files = {"data": fit.data, "validation": fit.validation}
     runs = (sidecar(path, tuple(fit.rename.items())) for path in (*fit.data, *fit.validation))
     said = f"{definition} {settings} {' '.join(runs)}"
+    doubted = any(uncertain(path, tuple(fit.rename.items())) for path in fit.data)
     added = {**sources_named(said), **{path.name: digest for path, digest in plugins().items()}}
     return Task(
         "giajax.tasks._sweep:fitted",
@@ -388,6 +404,7 @@ def _task(fit: FitTask, checksums: Any, sidecar: Any) -> Task:
             "rename": dict(fit.rename),
             "begin": fit.begin,
             "added": added or None,
+            "nuisances": (settings.get("nuisances", True) and doubted) or None,
         },
         aside={
             "paths": {

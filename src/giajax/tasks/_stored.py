@@ -99,10 +99,12 @@ def reached_by(result: "str | Path | FitResult") -> dict[str, Any]:
     else:
         record = {"model": result.model.kind, **_plain(result, "parameters", "config", "runs")}
     fixed = {path.partition("[")[0] for path in record["config"].get("fix", {})}
+    # Another recording has another camera.
+    nuisances = record["config"].get("nuisances", ())
     values = {
         path: estimate["value"]
         for path, estimate in record["parameters"].items()
-        if estimate["free"] or path in fixed
+        if (estimate["free"] and path not in nuisances) or path in fixed
     }
     own = {
         run["name"]: {path: item["value"] for path, item in run["parameters"].items()}

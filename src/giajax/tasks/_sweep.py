@@ -89,13 +89,16 @@ def fitted(
     begin: Mapping[str, Any] | None,
     paths: Mapping[str, Sequence[str]],
     added: Mapping[str, str] | None = None,
+    nuisances: bool | None = None,
 ) -> dict[str, Any]:
     """A task: a fit without the checks that end a single one: gradient, tolerance and suspects.
 
     The inputs are the name of each file of `data` and `validation` with the SHA-256 of its content
     and of its sidecar, None where there is none; their paths have the same order. What was `added`
     are the plug-ins and the sources of registered classes that it names, with their SHA-256.
+    Where something of the runs may be uncertain, the key says so: earlier fits held it.
     """
+    del nuisances
     check_precision()
     for part, files in inputs.items():
         for (_, *before), path in zip(files, paths[part], strict=True):
