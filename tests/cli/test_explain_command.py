@@ -88,6 +88,36 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
         assert error.count("\n") == 1
 
 
+def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_path, monkeypatch):
+    for name in ("muscle.csv", "muscle.toml"):
+        shutil.copy(ROOT / "data" / "synthetic" / name, tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    Path("why/fits").mkdir(parents=True)
+    Path("why/fits/sweep.json").write_text("of a sweep")
+    asked = ("explain", "--data", "muscle.csv", "--out", "why", "--no-figures", "--no-page")
+    asked = (*asked, "--fix", "muscle.end_correction=1.5", "--max-steps", "0", "--quiet")
+    status, _, error = giajax(*asked)
+    assert status == 2
+    assert "why/fits holds files that are of no explanation" in error
+    # The first fit is stopped, and there is nothing to go on with.
+    status, _, error = giajax(*asked, "--force", "--budget", "0.001s")
+    assert status == 1
+    assert error == "giajax: the budget was used up: this is what was reached\n"
+    assert giajax(*asked, "--force") == (0, "", "")
+    whole = Path("why/explain.json").read_bytes()
+    assert giajax(*asked, "--force") == (0, "", "")
+    assert Path("why/explain.json").read_bytes() == whole
+    assert Path("why/fits/sweep.json").read_text() == "of a sweep"
+    Path("elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    again = ("explain", "--resume", "../why", "--no-figures", "--no-page", "--quiet")
+    assert giajax(*again) == (0, "", "")
+    assert Path("../why/explain.json").read_bytes() == whole
+    status, _, error = giajax(*again, "--force")
+    assert status == 2
+    assert "leave out the others" in error
+
+
 @pytest.mark.slow
 def test_a_turned_camera_and_a_wind_are_found_beside_what_is_always_uncertain(tmp_path):
     """Where the truth is known: camera free, and both omissions at once."""

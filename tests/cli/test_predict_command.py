@@ -3,6 +3,9 @@
 import csv
 import dataclasses
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_fit_command import giajax
@@ -12,7 +15,7 @@ from giajax.mechanics.arm import takeichi_20m
 from giajax.models import ArmModel, as_stated
 from giajax.recordings import Definition, read_run, write_run
 from giajax.report import write_result
-from giajax.schema.parameters import get, left_out, replace
+from giajax.schema.parameters import as_in, get, left_out, parameter, replace
 from small_arm import LINKS, NOISE, TRUTH, make_run
 
 
@@ -93,6 +96,27 @@ def test_another_camera_and_wind_are_those_of_the_run(filmed):
         assert kept & set(left_out(model)) == gone
         assert float(get(model, "camera.delay")) == pytest.approx(delay, abs=0.01)
         assert float(get(model, "joints.damping")) == TRUTH["joints.damping"]
+
+
+def test_what_the_run_alone_states_and_a_law_of_ones_own():
+    class Own(eqx.Module):
+        stiffness: jax.Array = parameter(2.0, unit="N m/rad", doc="of a joint")
+
+        def __init__(self, by):
+            self.stiffness = jnp.asarray(2.0 * by)
+
+    class Whole(eqx.Module):
+        law: Own
+        camera: dict[str, Own]
+        lift: Own | None = None
+
+    fitted, stated = Own(1.0), Own(3.0)
+    model = Whole(fitted, {"top": fitted})
+    other = Whole(stated, {"top": stated}, stated)
+    lifted = as_in(model, other, ["lift"])
+    assert (lifted.law, lifted.lift) == (fitted, stated)
+    turned = as_in(model, other, ["camera.top"])
+    assert (turned.law, turned.camera, turned.lift) == (fitted, {"top": stated}, None)
 
 
 def test_without_on_the_command_line(filmed):

@@ -2,17 +2,21 @@
 
 import dataclasses
 import signal
+from typing import ClassVar
 
 import numpy as np
 import pytest
-from curves import NOISE, recorded
+from curves import NOISE, Curve, curve, recorded
 from test_suspects import fitted
 
-from giajax import InputError
+import giajax
+from giajax import InputError, write_run
+from giajax.fitting import fit
 from giajax.mechanics.arm import takeichi_20m
 from giajax.models import ArmModel, capabilities
+from giajax.recordings import hold_out, read_run
 from giajax.schema.parameters import declared, left_out
-from giajax.studies import Explanation, explain, ladder
+from giajax.studies import Explanation, explain, ladder, suspects
 
 
 @pytest.mark.slow
@@ -77,6 +81,12 @@ def test_what_ends_it_early_gives_all_that_was_reached():
     assert len(found.record.steps) == 2
     assert found.record.steps[1].chi_square < found.record.steps[0].chi_square
     assert found.record.fit
+    # It is of four fifths of the data, which it says, and of which its file is read again.
+    assert any("the fit of the last step" in sentence for sentence in found.result.conditions)
+    (about,) = found.result.config["runs"]
+    assert about["held_from"] == dict.fromkeys(recording.observations, 96)
+    (part,) = (each.fitted for each in hold_out([recording], ["last"]))
+    assert suspects(found.result, part).rows
     with pytest.raises(InputError, match="0 suspects cannot be tried"):
         explain(first, recording, tries=0)
 
@@ -89,3 +99,65 @@ def test_the_memory_of_a_joint_is_rather_to_be_believed_than_friction():
     assert "joints.memory.strength" in declared(capabilities.variants(model)[name])
     assert capabilities.rather(capabilities.variants(model)[name]) == {}
     assert capabilities.rather(fitted(recorded(seed=5)).model) == {}
+
+
+@pytest.mark.parametrize("where", ["fitting the first model", "testing what the fit held"])
+def test_a_model_that_cannot_be_asked_ends_an_explanation_with_what_there_is(where):
+    recording = recorded(seed=5)
+
+    def fail(sentence):
+        if where in sentence:
+            raise InputError("it cannot be evaluated: hold more")
+
+    found = explain(fitted(recording), recording, say=fail)
+    assert (found.record.ended, found.record.ending) == (
+        "failed",
+        "it cannot be evaluated: hold more",
+    )
+    assert [step.change for step in found.record.steps] == ["-"]
+    assert found.result.suspects
+
+
+def test_without_a_last_fifth_nothing_is_held_out_and_it_says_so():
+    recording = dataclasses.replace(recorded(seed=5), name="last")
+    record = explain(fitted(recording), recording).record
+    assert record.ending.endswith("nothing could be held out to judge the steps by")
+    assert record.steps[0].held_out is None
+    assert record.steps[0].values == 360
+
+
+@giajax.register
+class Kept(Curve):
+    """The curve as files have it."""
+
+    kind: ClassVar[str] = "kept_curve"
+    from_definition = classmethod(lambda cls, _: cls(weights=np.ones(2)))
+
+
+def test_turned_runs_are_files_of_their_own_and_no_users(tmp_path):
+    runs = []
+    for name in ("one", "two"):
+        recording = recorded(seed=len(runs))
+        values = recording.values
+        swapped = {**values, "tip_y": values["tip_z"], "tip_z": values["tip_y"]}
+        (tmp_path / name).mkdir()
+        path = tmp_path / name / "run.csv"
+        write_run(path, recording.times, swapped, definition=recording.definition)
+        runs.append(read_run(path))
+    (tmp_path / "run.csv").write_text("a file of the user")
+    model = Kept(**{field.name: getattr(curve(), field.name) for field in dataclasses.fields(Kept)})
+    begin = {"amplitude": 1.5, "decay": 0.9}
+    options = {"free": list(begin), "start": begin, "check": False, "noise_model": "white"}
+    found = explain(fit(model, runs, **options), runs, folder=tmp_path, max_steps=1)
+    assert found.record.axes
+    assert (tmp_path / "run.csv").read_text() == "a file of the user"
+    files = [read_run(run.path) for run in found.result.runs]
+    assert [run.sha256 for run in files] == [run.sha256 for run in found.result.runs]
+    assert files[0].sha256 != files[1].sha256
+    # The journal is of this, and gives the same without a fit.
+    told = []
+    again = explain(fit(model, runs, **options), runs, folder=tmp_path, say=told.append)
+    assert again.record == found.record
+    assert not [sentence for sentence in told if sentence.startswith("fitting axes")]
+    other = explain(fit(model, runs[:1], **options), runs[:1], folder=tmp_path, max_steps=0)
+    assert [step.change for step in other.record.steps] == ["-"]

@@ -392,12 +392,6 @@ _BETWEEN_S = 5.0
 _LEAST = 2
 
 
-def stop_if_asked(_: Any) -> None:
-    """Stop what was signalled, where the exception was lost, as in a callback of a library."""
-    if is_stopped():
-        raise KeyboardInterrupt
-
-
 def end_if_stopped(folder: Path | None) -> None:
     """End a command that was stopped and has written what it had; say how to go on.
 

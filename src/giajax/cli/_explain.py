@@ -1,12 +1,12 @@
 """`giajax explain`: what runs need beyond the model that is assumed, step by step."""
 
-import shlex
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Unpack
 
 import typer
 
-from ..runtime.process import configure, is_stopped, stopped_status
+from ..runtime.process import configure, is_stopped, stop_if_asked, stopped_status
 from ..runtime.text import InputError
 from ._commands import (
     Paths,
@@ -14,16 +14,15 @@ from ._commands import (
     command,
     say_progress,
     say_written,
-    stop_if_asked,
 )
-from ._fit import Progress, Settings, named_task, show_result, typed
+from ._fit import Progress, Settings, named_task, resumes, show_result, typed
 from ._on_result import show
 
 if TYPE_CHECKING:
     from ..fitting import FitResult
     from ..tasks import FitTask
 
-FITS, FIRST = "fits", "first.json"
+FITS, FIRST, JOURNAL = "fits", "first.json", "explain.jsonl"
 PAGE = "explain.html"
 
 
@@ -72,13 +71,13 @@ def explain(
 
     A late camera, a wind, friction, swapped axes, outliers, and all else that the model knows.
     """
-    from ..recordings import fit_settings, parse_rename, write_files
+    from ..recordings import parse_rename, write_files
     from ..report import check_page
 
     said = typed(settings)
     budget = said.pop("budget", None)
     if resume is not None:
-        if data or config or out is not None or said:
+        if data or config or validation or rename or force or out is not None or said:
             raise typer.BadParameter(
                 "--resume takes data and settings from the folder: leave out the others"
             )
@@ -96,37 +95,42 @@ def explain(
         named = task.out
         folder = named.with_name(f"{named.name}-explained") if out is None else out
         task = task.on_top(out=folder)
-    seconds = fit_settings({"budget": budget} if budget else {}).budget_s
+    if budget:
+        task = task.on_top(budget=budget, origin="the command line")
+    seconds = task.definition.fit.budget_s
     if page:
         check_page(folder / PAGE, force=force or resume is not None)
     configure()
     from ..fitting import Budget
     from ..report import report_page, write_result
-    from ..studies import MOST, explain as explained
+    from ..studies import explain as explained
+    from ..tasks import locked
 
     left = None if seconds is None else Budget(seconds)
     ready = task.prepare()
-    first = _begun(ready, folder, resumed=resume is not None, force=force, quiet=quiet)
-    found = explained(
-        first,
-        ready.runs,
-        validation=ready.validation,
-        held_out=ready.held_out_runs,
-        max_steps=MOST if max_steps is None else max_steps,
-        tries=tries,
-        budget_s=None if left is None else max(left.left(), 0.0),
-        folder=folder,
-        say=say_progress(quiet),
-    )
-    record, result = found.record, found.result
-    files = write_result(result, found.runs, folder, figures=figures and not is_stopped())
-    written = {folder / record.file: record.to_json().encode()}
-    write_files(written, force=True)
-    if page:
-        # It has a section for each record that lies beside the result.
-        source = folder / "result.json"
-        written[folder / PAGE] = report_page(result, found.runs, source=source)
+    with locked(folder):
+        first = _begun(ready, folder, resumed=resume is not None, force=force, quiet=quiet)
+        late = first.reason == "budget"
+        found = explained(
+            first,
+            ready.runs,
+            validation=ready.validation,
+            held_out=ready.held_out_runs,
+            max_steps=max_steps,
+            tries=tries,
+            budget_s=None if left is None else 0.0 if late else max(left.left(), 0.0),
+            folder=folder,
+            say=say_progress(quiet),
+        )
+        record, result = found.record, found.result
+        files = write_result(result, found.runs, folder, figures=figures and not is_stopped())
+        written = {folder / record.file: record.to_json().encode()}
         write_files(written, force=True)
+        if page:
+            # It has a section for each record that lies beside the result.
+            source = folder / "result.json"
+            written[folder / PAGE] = report_page(result, found.runs, source=source)
+            write_files(written, force=True)
     if as_json:
         typer.echo(record.to_json(), nl=False)
     elif not quiet:
@@ -135,8 +139,10 @@ def explain(
         show_result(result, task.definition)
         say_written(folder, [path.name for path in (*written, *files)])
     if record.ended in ("budget", "interrupted"):
-        how = f"to go on: giajax explain --resume {shlex.quote(str(folder))}"
-        typer.echo(f"giajax: {record.ending}; {how}", err=True)
+        # A first fit that was stopped is made anew.
+        begun = (folder / FITS / FIRST).exists()
+        how = f"; to go on: {resumes('explain', folder)}" if begun else ""
+        typer.echo(f"giajax: {record.ending}{how}", err=True)
     if is_stopped():
         raise typer.Exit(stopped_status())
     raise typer.Exit(0 if result.status == "converged" else 1)
@@ -148,7 +154,7 @@ def _resumed(folder: Path) -> "FitTask":
 
     if not (folder / FITS / FIRST).exists():
         raise InputError(f"{folder} has no explanation to go on with: give the folder of one")
-    return FitTask.again(folder / FITS / FIRST).on_top(out=folder)
+    return FitTask.again(folder / FITS / FIRST, home=folder).on_top(out=folder)
 
 
 def _begun(ready: Any, folder: Path, *, resumed: bool, force: bool, quiet: bool) -> "FitResult":
@@ -158,20 +164,30 @@ def _begun(ready: Any, folder: Path, *, resumed: bool, force: bool, quiet: bool)
     from ..report import check_folder
 
     path = folder / FITS / FIRST
-    if path.exists() and not (resumed or force):
-        raise InputError(
-            f"{folder} holds an explanation: go on with giajax explain --resume {folder}, give "
-            "another --out, or --force to begin anew"
-        )
     if resumed:
         return load_result(path)
+    if path.exists() and not force:
+        raise InputError(
+            f"{folder} holds an explanation: go on with {resumes('explain', folder)}, give "
+            "another --out, or --force to begin anew"
+        )
+    if not force and any((folder / FITS).glob("*")):
+        raise InputError(
+            f"{folder / FITS} holds files that are of no explanation: give another --out, or "
+            "--force to write beside them"
+        )
     check_folder(folder, ready.runs, ready.setup.config, force=force)
-    for old in (folder / FITS).glob("*.json"):
-        old.unlink()
+    for old in (path, folder / JOURNAL, *(folder / FITS).glob("[0-9][0-9][0-9].json")):
+        old.unlink(missing_ok=True)
     result = ready.run(stop_if_asked if quiet else Progress(ready.setup))
-    if result.status != "interrupted":
-        make_folder(folder / FITS)
-        write_files({path: result.to_json().encode()}, force=True)
-        # As it is when the explanation goes on.
-        result = load_result(path)
-    return result
+    if result.status == "interrupted" or result.reason == "budget":
+        return result
+    # Its budget did not end it, and is not that of another time.
+    config = {name: item for name, item in result.config.items() if name != "budget_s"}
+    if uncertainty := ready.definition.fit.uncertainty:
+        config["uncertainty"] = dict(uncertainty)
+    result = dataclasses.replace(result, config=config)
+    make_folder(folder / FITS)
+    write_files({path: result.to_json().encode()}, force=True)
+    # As it is when the explanation goes on.
+    return load_result(path)

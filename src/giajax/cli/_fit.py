@@ -15,7 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, Unpack, cast
 import typer
 
 from ..runtime.plugins import plugins
-from ..runtime.process import CORES_VARIABLE, configure, is_stopped, stopped_status
+from ..runtime.process import (
+    CORES_VARIABLE,
+    configure,
+    is_stopped,
+    stop_if_asked,
+    stopped_status,
+)
 from ..runtime.text import InputError, time_in_words
 from ._commands import (
     Cores,
@@ -30,7 +36,6 @@ from ._commands import (
     forget_starts,
     print_table,
     say_written,
-    stop_if_asked,
     terminal_width,
     workers_of_starts,
 )
@@ -370,11 +375,17 @@ def run_fit(
 
 def _go_on(task: "FitTask", result: "FitResult | None" = None) -> str:
     """How a fit that was stopped is gone on with."""
-    how = f"to go on with it: giajax fit --resume {shlex.quote(str(task.out))}"
+    how = f"to go on with it: {resumes('fit', task.out)}"
     # A fit that had its iterations would end again at once.
     if result and result.status == "not_converged" and "budget_s" not in result.config:
         how += f" --max-iterations {2 * result.config['max_iterations']}"
-    return " ".join([how, *(f"--plugin {shlex.quote(str(path))}" for path in plugins())])
+    return how
+
+
+def resumes(command: str, folder: Path) -> str:
+    """The command that goes on with what was stopped in a folder."""
+    added = (f"--plugin {shlex.quote(str(path))}" for path in plugins())
+    return " ".join([f"giajax {command} --resume {shlex.quote(str(folder))}", *added])
 
 
 def _complain(sentence: str) -> None:

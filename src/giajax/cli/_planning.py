@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..runtime.process import configure, stopped_status
+from ..runtime.process import configure, stop_if_asked, stopped_status
 from ..runtime.text import InputError
 from ._commands import (
     Force,
@@ -25,7 +25,6 @@ from ._commands import (
     failed_simulation,
     print_table,
     say_written,
-    stop_if_asked,
     write_folder,
 )
 from ._model import is_result

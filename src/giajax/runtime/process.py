@@ -50,6 +50,12 @@ def is_stopped() -> bool:
     return _first is not None
 
 
+def stop_if_asked(_: Any = None) -> None:
+    """Stop what was signalled, where the exception was lost, as in a callback of a library."""
+    if is_stopped():
+        raise KeyboardInterrupt
+
+
 def stopped_status() -> int:
     """Exit status of a command that was stopped: 130 after Ctrl-C, 143 after SIGTERM."""
     return 128 + (signal.SIGINT if _first is None else _first)

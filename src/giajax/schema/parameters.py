@@ -382,16 +382,21 @@ def as_in(model: Module, other: Module, names: Iterable[str]) -> Module:
         if isinstance(ours, dict) and isinstance(theirs, dict):
             each = {key: (ours.get(key), theirs.get(key)) for key in {**ours, **theirs}}
             both = {key: of(f"{path}.{key}" if path else key, *pair) for key, pair in each.items()}
-            return {key: part for key, part in both.items() if part is not None}
+            kept = {key: part for key, part in both.items() if part is not None}
+            same = kept.keys() == ours.keys() and all(kept[key] is ours[key] for key in kept)
+            return ours if same else kept
         if not isinstance(ours, eqx.Module) or type(ours) is not type(theirs):
             return ours
-        changed = {}
+        changed: dict[str, Any] = {}
         for field in dataclasses.fields(ours):
             inside = "" if field.metadata.get(INLINE) else field.name
             one, another = getattr(ours, field.name), getattr(theirs, field.name)
-            if DECLARED in field.metadata or isinstance(one, eqx.Module | dict):
-                changed[field.name] = of(".".join(filter(None, (path, inside))), one, another)
-        return dataclasses.replace(ours, **changed)
+            parts = isinstance(one, eqx.Module | dict) or isinstance(another, eqx.Module | dict)
+            if DECLARED in field.metadata or parts:
+                new = of(".".join(filter(None, (path, inside))), one, another)
+                changed |= {} if new is one else {field.name: new}
+        # A class with an `__init__` of its own cannot be made again by its fields.
+        return dataclasses.replace(ours, **changed) if changed else ours
 
     found = of("", model, other)
     if unknown:

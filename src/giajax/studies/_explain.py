@@ -4,21 +4,42 @@ import dataclasses
 import functools
 import json
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from ..fitting import Budget, FitResult, Suspect, load_result, matching_runs
+from ..fitting import (
+    Budget,
+    FitResult,
+    HeldChannel,
+    HeldOut,
+    Suspect,
+    errors_of,
+    load_result,
+    matching_runs,
+    prediction_errors,
+)
 from ..models import capabilities
 from ..noise import robust_deviation
-from ..recordings import FitSettings, Run, hold_out, make_folder, read_run, write_files, write_run
+from ..recordings import (
+    FitSettings,
+    Run,
+    hold_out,
+    make_folder,
+    read_run,
+    unique_names,
+    write_files,
+    write_run,
+)
 from ..runtime.files import read_bytes
 from ..runtime.limits import JOURNAL_BYTES
+from ..runtime.process import stop_if_asked
 from ..runtime.records import from_plain, plain_data
 from ..runtime.text import InputError, time_in_words
 from ._axes import all_axes, name_of, turned_back
-from ._refit import StudyRecord, fit_key, refit
+from ._refit import StudyRecord, fit_key, refit, with_fitted_state
 from ._stepwise import (
     MOST,
     TRIES,
@@ -107,7 +128,8 @@ class Explanation(
 
     Attributes:
         fit: key of the final fit.
-        ended: "selected", "steps", "budget" or "interrupted": what ended it.
+        ended: what ended it: "selected", "steps", "budget", "interrupted", or "failed" where a
+            model could not be fitted or asked.
         ending: one sentence on that.
         status, verdict: of the final fit; the sentences say what speaks against its model.
         loss: how residuals counted.
@@ -120,7 +142,7 @@ class Explanation(
     """
 
     fit: str
-    ended: Literal["selected", "steps", "budget", "interrupted"]
+    ended: Literal["selected", "steps", "budget", "interrupted", "failed"]
     ending: str
     status: str
     verdict: str
@@ -166,11 +188,18 @@ class Kept(Fits):
     """Fits that end with a budget, are told, and are kept in a folder, if there is one.
 
     The journal has a line for each thing that was computed, in order; where it holds what is asked
-    for next, that is taken. The same steps follow, because each depends on those before alone.
+    for next, that is taken. The same steps follow, because each depends on those before alone. One
+    with another head is of something else, and begins anew; `asked` may differ, and is that of the
+    journal where it is None.
     """
 
     def __init__(
-        self, folder: Path | None, head: dict[str, Any], budget: Budget | None, say: Any
+        self,
+        folder: Path | None,
+        head: dict[str, Any],
+        asked: dict[str, int | None],
+        budget: Budget | None,
+        say: Any,
     ) -> None:
         self.folder, self.budget, self.say = folder, budget, say or (lambda sentence: None)
         self.lines: list[dict[str, Any]] = []
@@ -179,17 +208,24 @@ class Kept(Fits):
         if folder is not None:
             make_folder(folder / FITS)
             self.lines = _read(folder / JOURNAL)
-        if self.lines[:1] != [first]:
+        if not (self.lines and {**self.lines[0], **first} == self.lines[0]):
             self.lines = [first]
+        self.lines[0] |= {name: value for name, value in asked.items() if value is not None}
 
     def _next(self, name: str) -> dict[str, Any] | None:
         if self.at < len(self.lines) and self.lines[self.at].get("name") == name:
             self.at += 1
             return self.lines[self.at - 1]
         del self.lines[self.at :]
-        if self.budget is not None and self.budget.left() <= 0:
+        stop_if_asked()
+        if self.is_late:
             raise _Stopped
         return None
+
+    @property
+    def is_late(self) -> bool:
+        """Whether its budget is used up."""
+        return self.budget is not None and self.budget.left() <= 0
 
     def _keep(self, line: dict[str, Any]) -> None:
         if self.folder is not None:
@@ -217,8 +253,8 @@ class Kept(Fits):
         self.say(f"fitting {name} ...")
         try:
             # What is not there by then goes on in the fits that follow.
-            limits: dict[str, Any] = {"budget": self.budget, "max_iterations": _ITERATIONS}
-            found = super().refit(name, result, runs, **changed, **limits)
+            limits: dict[str, Any] = {"max_iterations": _ITERATIONS, "progress": stop_if_asked}
+            found = super().refit(name, result, runs, budget=self.budget, **changed, **limits)
         except InputError as error:
             self._keep({"name": name, "refused": str(error)})
             raise
@@ -254,7 +290,7 @@ def explain(
     *,
     validation: Sequence[Run] = (),
     held_out: Sequence[Run] = (),
-    max_steps: int = MOST,
+    max_steps: int | None = None,
     tries: int | None = None,
     budget_s: float | None = None,
     folder: str | Path | None = None,
@@ -272,7 +308,8 @@ def explain(
       rather than friction by rate), that one is taken if it fits nearly as well;
     - a nuisance that the data move far from what is usual is tried without its prior;
     - without validation or `held_out` the last fifth of each run is kept from all steps, to judge
-      them by. The final model is fitted to all of it, with the noise that the first one looked for.
+      them by, where that leaves a part of each to fit. The final model is fitted to all of it, with
+      the noise that the first one looked for.
 
     The errors of the final fit are conditional on its model, which these data selected. What the
     models that fit nearly as well (`NEARNESS`) say otherwise is added as the `selection_error`.
@@ -281,8 +318,8 @@ def explain(
         result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
         validation: further runs to judge the steps by.
         held_out: what was held out of the fitted runs, likewise.
-        max_steps: steps at most.
-        tries: suspects that are fitted at each of them (3, or what it was in the folder).
+        max_steps: steps at most (6, or what it was in the folder).
+        tries: suspects that are fitted at each of them (3, likewise).
         budget_s: wall time after which it ends with what it has reached, s.
         folder: keep a journal and the fits there; what is there of the same explanation is not done
             again.
@@ -292,23 +329,24 @@ def explain(
         The record, with the final fit and its runs. After Ctrl-C it is that of the steps so far.
 
     Raises:
-        InputError: as `giajax.ladder`, or a folder that cannot be written.
+        InputError: other runs than those of the result, `tries` below 1, or a folder that cannot be
+            written.
     """
     if tries is not None and tries < 1:
         raise InputError(f"{tries} suspects cannot be tried at each step: give 1 or more")
     whole = matching_runs(result.runs, runs)
     apart = [*validation, *held_out]
-    fitted = whole
-    if not apart:
-        parts = hold_out(whole, ["last"])
-        if all(part.fitted is not None for part in parts):
-            fitted = [part.fitted for part in parts if part.fitted is not None]
-            apart = [part.held for part in parts if part.held is not None]
+    fitted, partly = (whole, result) if apart else _without_last(whole, result, apart)
     home = None if folder is None else Path(folder)
-    before = [] if home is None else _read(home / JOURNAL)
-    tries = tries or (before[0].get("tries") if before else None) or TRIES
-    head = {"fit": fit_key(result), "apart": [run.sha256 for run in apart], "tries": tries}
-    kept = Kept(home, head, None if budget_s is None else Budget(budget_s), say)
+    head = {
+        "giajax": version("giajax"),
+        "fit": fit_key(result),
+        "apart": [run.sha256 for run in apart],
+    }
+    said = {"tries": tries, "max_steps": max_steps}
+    kept = Kept(home, head, said, None if budget_s is None else Budget(budget_s), say)
+    tries = int(kept.lines[0].get("tries", TRIES))
+    max_steps = int(kept.lines[0].get("max_steps", MOST))
     climb = Climb(fitted, apart, kept)
     told = _Told(climb, kept.say, max_steps)
     climb.progress = told.step
@@ -316,7 +354,7 @@ def explain(
     try:
         if result.status == "interrupted":
             raise KeyboardInterrupt
-        begun = kept.refit("the first model", result, fitted)
+        begun = kept.refit("the first model", partly, fitted)
         first = Measured.of(begun, fitted, apart)
         outliers = _outliers(first)
         if outliers and result.loss.is_linear:
@@ -337,17 +375,18 @@ def explain(
                 break
         else:
             climb.ending = f"{max_steps} steps were allowed"
-    except (KeyboardInterrupt, _Stopped) as stop:
-        ended = "budget" if isinstance(stop, _Stopped) else "interrupted"
-        climb.ending = (
-            f"the budget of {time_in_words(budget_s or 0.0)} was used up"
-            if ended == "budget"
-            else "interrupted: this is what was reached"
-        )
+    except KeyboardInterrupt:
+        ended, climb.ending = "interrupted", "interrupted: this is what was reached"
+    except _Stopped:
+        ended, climb.ending = "budget", "the budget was used up: this is what was reached"
+    except InputError as error:
+        ended, climb.ending = "failed", str(error)
     if not climb.taken:
         climb.take(Measured.of(result, fitted, apart))
-    stopped = ended == "interrupted"
-    final, seen = _final(result, climb, whole, home, kept, stopped)
+    if not apart:
+        climb.ending += "; nothing could be held out to judge the steps by"
+    judges = len(validation), len(held_out)
+    final, seen = _final(result, climb, whole, kept, judges, ended == "interrupted")
     record = _record(result, climb, final, ended, outliers)
     if len(record.steps) > 1 or final.loss != result.loss:
         sentence = (
@@ -356,6 +395,29 @@ def explain(
         )
         final = dataclasses.replace(final, conditions=(*final.conditions, sentence))
     return Explained(record, final, seen)
+
+
+def _without_last(
+    whole: list[Run], result: FitResult, apart: list[Run]
+) -> tuple[list[Run], FitResult]:
+    """The runs without their last fifth, which comes `apart`, and the result as of these.
+
+    As they are where a run has no value in one of its parts, as a window has, or is called `last`.
+    """
+    try:
+        parts = hold_out(whole, ["last"])
+    except InputError:
+        return whole, result
+    fitted = [part.fitted for part in parts if part.fitted is not None]
+    if len(fitted) < len(parts):
+        return whole, result
+    several = []
+    for part, about in zip(parts, result.config.get("runs", [{}] * len(parts)), strict=True):
+        cells = {} if part.held is None else part.held.observations
+        first = {name: int(np.argmax(~np.isnan(rows))) for name, rows in cells.items()}
+        several.append({**about, "held_from": {**about.get("held_from", {}), **first}})
+    apart += [part.held for part in parts if part.held is not None]
+    return fitted, dataclasses.replace(result, config={**result.config, "runs": several})
 
 
 def _moved(result: FitResult, other: FitResult) -> bool:
@@ -407,20 +469,20 @@ def _chosen(tries: int, result: FitResult, found: Suspects) -> list[Suspect]:
     """What is fitted next: so many suspects, each with those that are alike."""
     rows = {row.path: row for row in reversed(found.rows) if is_one(result.model, row)}
     rather = capabilities.rather(result.model)
-    listed: dict[str, Suspect] = {}
+    # The first of each group, with what is likelier than it, before those that are alike.
+    first: list[str] = []
+    alike: list[str] = []
     groups = 0
     for suspect in found.significant:
         path = suspect.path
-        if groups == tries or path in listed or path not in rows:
+        if groups == tries or path not in rows or path in (*first, *alike):
             continue
         groups += 1
-        others = [other for other in (*suspect.together, *suspect.alike) if other in rows]
         likelier = rather.get(path.partition("[")[0])
-        members = [path, *others[:_MEMBERS], *([likelier] if likelier in rows else [])]
-        for member in members:
-            listed.setdefault(member, rows[member])
+        first += [path, *([likelier] if likelier in rows else [])]
+        alike += [one for one in (*suspect.together, *suspect.alike) if one in rows][:_MEMBERS]
     # What is usual of a camera is given up last: it may make up for anything.
-    return list(listed.values()) or _against_priors(result)
+    return [rows[path] for path in dict.fromkeys((*first, *alike))] or _against_priors(result)
 
 
 def _against_priors(result: FitResult) -> list[Suspect]:
@@ -457,48 +519,113 @@ def _final(
     result: FitResult,
     climb: Climb,
     whole: list[Run],
-    home: Path | None,
     kept: Kept,
+    judges: tuple[int, int],
     stopped: bool,
 ) -> tuple[FitResult, list[Run]]:
-    """The last fit, of the whole runs and with the noise asked for, and these runs."""
+    """The last fit, of the whole runs and with the noise asked for, and these runs.
+
+    Where that cannot be, it is the fit of the last step, and says so.
+    """
     changes = [fit.suspect.path for fit in climb.taken if fit.suspect is not None]
     seen = whole
     for way in [way for change in changes for way in all_axes() if name_of(way) == change]:
         seen = [turned_back(run, way) for run in seen]
-    if seen is not whole and home is not None:
+    if seen is not whole and kept.folder is not None:
         # Other commands read them again.
-        seen = [_written(run, home) for run in seen]
-    last = climb.last.result
+        seen = _written(seen, kept.folder / FITS / "runs")
+    last, runs = climb.last.result, seen
     if not changes and last.loss == result.loss:
         last = result
-    elif not stopped:
-        asked = result.config.get("noise_model", "correlated")
-        try:
+    else:
+        # Axes may have made files of their own.
+        records = tuple(
+            dataclasses.replace(record, path=_file(run), sha256=run.sha256)
+            for record, run in zip(last.runs, seen, strict=True)
+        )
+        last = dataclasses.replace(last, runs=records)
+        again = None
+        if not (stopped or kept.is_late):
             kept.say("fitting the selected model to all of the data ...")
-            again = refit(last, seen, noise_model=asked, check=True)
-            last = again if again.status == "converged" else last
-        except InputError:  # It cannot be evaluated a little inside of its bounds.
-            pass
-        except KeyboardInterrupt:
-            stopped = True
+            # Without what was kept from the steps alone.
+            config = {**last.config, "runs": result.config.get("runs", [])}
+            try:
+                again = refit(
+                    dataclasses.replace(last, config=config),
+                    seen,
+                    noise_model=result.config.get("noise_model", "correlated"),
+                    budget=kept.budget,
+                    progress=stop_if_asked,
+                    check=True,
+                )
+                stopped = again.status == "interrupted"
+            except InputError:  # It cannot be evaluated a little inside of its bounds.
+                pass
+            except KeyboardInterrupt:
+                stopped = True
+        if again is not None and again.status == "converged":
+            last = again
+        else:
+            runs = [
+                dataclasses.replace(part, path=run.path, sha256=run.sha256)
+                for part, run in zip(climb.runs, seen, strict=True)
+            ]
+            sentence = (
+                "this is the fit of the last step, with white noise and of what the steps were "
+                "fitted to: that of all of the data did not come to its end"
+            )
+            last = dataclasses.replace(last, conditions=(*last.conditions, sentence))
+        last = _judged(last, result, climb.apart, *judges)
     known = climb.asked[-1]
     if not stopped:
         try:
             kept.say("testing what the selected model held or left out ...")
-            return with_suspects(last, seen), seen
-        except (KeyboardInterrupt, InputError):
+            return with_suspects(last, runs), seen
+        except KeyboardInterrupt:
             pass
+        except Exception as error:  # A test that fails loses no fit.
+            kept.say(f"what the selected model held or left out could not be tested ({error})")
     if known is not None:
         last = dataclasses.replace(last, suspects=known.rows, verdict=known.judge(last))
     return last, seen
 
 
-def _written(run: Run, folder: Path) -> Run:
-    """A run, read from a file of its own."""
-    path = folder / f"{run.name}.csv"
-    write_run(path, run.times, run.values, definition=run.definition, digits=17, force=True)
-    return dataclasses.replace(read_run(path), name=run.name, observed=run.observed)
+def _judged(
+    final: FitResult, result: FitResult, apart: Sequence[Run], validation: int, held: int
+) -> FitResult:
+    """With how well it predicts what the first fit was judged by, and doubts that this stated."""
+    config, records = dict(final.config), []
+    for run in apart[validation : validation + held]:
+        errors = errors_of(run, final.predict(with_fitted_state(final, run))).channels
+        channels = {name: HeldChannel(e.unit, e.rmse, e.n, None) for name, e in errors.items()}
+        records.append(HeldOut(run.name, _file(run), run.sha256, channels))
+    if records and "hold_out" in result.config:
+        config["hold_out"] = result.config["hold_out"]
+    free = {path.partition("[")[0] for path in final.free}
+    doubts = result.config.get("uncertainty", {}).items()
+    if held_still := {path: one for path, one in doubts if path.partition("[")[0] not in free}:
+        config["uncertainty"] = held_still
+    return dataclasses.replace(
+        final,
+        config=config,
+        held_out=tuple(records),
+        validation=tuple(prediction_errors(final.model, run) for run in apart[:validation]),
+    )
+
+
+def _file(run: Run) -> str | None:
+    return None if run.path is None else str(run.path)
+
+
+def _written(runs: Sequence[Run], folder: Path) -> list[Run]:
+    """The runs, each read from a file of its own in a folder that nobody else writes to."""
+    make_folder(folder)
+    read = []
+    for run, name in zip(runs, unique_names(runs), strict=True):
+        path = folder / f"{name}.csv"
+        write_run(path, run.times, run.values, definition=run.definition, digits=17, force=True)
+        read.append(dataclasses.replace(read_run(path), name=run.name, observed=run.observed))
+    return read
 
 
 def _record(

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import hashlib
+import itertools
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -14,6 +15,7 @@ from ..fitting import (
     AbstractLoss,
     Budget,
     FitResult,
+    Iteration,
     Optimum,
     RunFit,
     Seconds,
@@ -103,6 +105,7 @@ def refit(
     loss: AbstractLoss | str | None = None,
     max_iterations: int | None = None,
     budget: Budget | None = None,
+    progress: Callable[[Iteration], None] | None = None,
     check: bool = False,
 ) -> FitResult:
     """Fit the same runs again from where a fit ended, with more parameters or another model.
@@ -116,8 +119,8 @@ def refit(
             bound starts a little inside of it.
         fix: values by path, SI, that are set and held; what was free of it no longer is.
         priors: by path, in place of those that free parameters had; None for none.
-        noise_model, loss, max_iterations, budget, check: as of `giajax.fit`; noise model and loss
-            are those of `result`.
+        noise_model, loss, max_iterations, budget, progress, check: as of `giajax.fit`; noise model
+            and loss are those of `result`.
     """
     model = result.model if model is None else model
     own, model = _own_values(result, model), switched_on(model, free)
@@ -155,12 +158,21 @@ def refit(
         for name, values in own.items()
     })  # fmt: skip
     nuisances = [p for p in result.nuisances if p in setup.priors]
-    setup = dataclasses.replace(setup, config={**setup.config, "nuisances": nuisances})
+    # From where on what of the same runs was held out: their files are read again by it.
+    before = [about.get("held_from") for about in result.config.get("runs", ())]
+    several = [
+        {**about, **({"held_from": first} if first else {})}
+        for about, first in itertools.zip_longest(setup.config["runs"], before[: len(runs)])
+    ]
+    config = {**setup.config, "nuisances": nuisances, "runs": several}
+    setup = dataclasses.replace(setup, config=config)
     if result.integration is not None and result.integration.chosen:
         # What moved nothing of one model may move another.
         config = {**setup.config, "tolerance": None}
         setup = dataclasses.replace(setup, reopened=True, config=config)
-    return solve(setup, max_iterations=max_iterations, budget=budget, check=check)
+    return solve(
+        setup, max_iterations=max_iterations, progress=progress, check=check, budget=budget
+    )
 
 
 def _own_values(result: FitResult, model: AbstractModel) -> dict[str, dict[str, float]]:

@@ -404,13 +404,14 @@ class Climb:
         if not made:
             self.ending = "no suspect that could be freed is significant"
             return True
-        one = best(made)
-        self.passed += [fit for fit, _, _ in made if fit is not one[0]]
         # Each time with the noise that the fit with more in it shows.
-        noise = one[0].noise
-        if not one[0].step(noise).bic < self.last.step(noise).bic:
+        for one in (best(made), best_of(made)):
+            noise = one[0].noise
+            if lower := one[0].step(noise).bic < self.last.step(noise).bic:
+                break
+        self.passed += [fit for fit, _, _ in made if not (lower and fit is one[0])]
+        if not lower:
             self.ending = f"{one[0].step(noise).change} was tried, and makes BIC larger"
-            self.passed.append(one[0])
             return True
         _, self.runs, self.apart = one
         self.take(one[0])

@@ -189,13 +189,13 @@ class FitTask:
         return cls(Definition(), data=paths_of(data))
 
     @classmethod
-    def again(cls, path: str | Path) -> Self:
+    def again(cls, path: str | Path, *, home: Path | None = None) -> Self:
         """The task of a result, by its file or folder: the same data, settings, starts and numbers.
 
         On the same machine and with the same versions they are the same bit for bit. It goes
         beside the other one, into NAME-again. With more `starts` on top only those are fitted. As
         long as no setting is changed, `prepare` refuses what has become of them in another version
-        of giajax.
+        of giajax. The folder that it was fitted into is `home`, where its file lies in another one.
 
         Raises:
             InputError: no such result, one that was stopped when its time was up, or a file that
@@ -203,7 +203,7 @@ class FitTask:
         """
         folder, stored = repeatable(path)
         check_sources(stored["versions"], f"{stored['model']} {stored['config']}")
-        config, fields = stored["config"], unchanged(stored["task"], folder)
+        config, fields = stored["config"], unchanged(stored["task"], home or folder)
         fields["definition"] = known_to(config, fields["definition"])
         out = folder.with_name(f"{folder.resolve().name}-again")
         return cls(**fields, resolved=config, earlier=folder).on_top(

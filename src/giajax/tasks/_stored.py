@@ -38,7 +38,8 @@ def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
     if not record.get("task"):
         raise InputError(
             f"{folder / 'result.json'} does not say how to fit it again, because an earlier "
-            "version wrote it or it was fitted from Python without a task: fit its data anew"
+            "version wrote it, it is the end of several fits, or it was fitted from Python without "
+            "a task: fit its data anew, or begin from there with --from"
         )
     timed = record["status"] == "not_converged" and "budget_s" in record["config"]
     if record["status"] == "interrupted" or timed:
