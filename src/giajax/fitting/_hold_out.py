@@ -138,8 +138,7 @@ def set_up_with_hold_out(
     config: dict[str, list[dict[str, Any]]] = {"runs": [], "hold_out": []}
     records = iter(setup.config["runs"])
     for part, record in zip(parts, whole.config["runs"], strict=True):
-        held = {} if part.held is None else part.held.observations
-        first = {name: int(np.argmax(~np.isnan(cells))) for name, cells in held.items()}
+        first = part.held_from
         if part.fitted is not None:
             partly = {name: row for name, row in first.items() if name in part.fitted.observations}
             config["runs"].append({**next(records), **({"held_from": partly} if partly else {})})

@@ -32,6 +32,12 @@ class SplitRun:
     fitted: Run | None
     held: Run | None
 
+    @property
+    def held_from(self) -> dict[str, int]:
+        """By channel of the held part, its first sample with a value."""
+        cells = {} if self.held is None else self.held.observations
+        return {name: int(np.argmax(~np.isnan(values))) for name, values in cells.items()}
+
 
 def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[SplitRun, ...]:
     """Take what is named out of runs.

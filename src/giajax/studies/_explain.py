@@ -411,11 +411,10 @@ def _without_last(
     fitted = [part.fitted for part in parts if part.fitted is not None]
     if len(fitted) < len(parts):
         return whole, result
-    several = []
-    for part, about in zip(parts, result.config.get("runs", [{}] * len(parts)), strict=True):
-        cells = {} if part.held is None else part.held.observations
-        first = {name: int(np.argmax(~np.isnan(rows))) for name, rows in cells.items()}
-        several.append({**about, "held_from": {**about.get("held_from", {}), **first}})
+    several = [
+        {**about, "held_from": {**about.get("held_from", {}), **part.held_from}}
+        for part, about in zip(parts, result.config.get("runs", [{}] * len(parts)), strict=True)
+    ]
     apart += [part.held for part in parts if part.held is not None]
     return fitted, dataclasses.replace(result, config={**result.config, "runs": several})
 
