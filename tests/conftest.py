@@ -27,7 +27,6 @@ if version("jaxlib").startswith("0.10."):
 
 import jax
 import pytest
-from jaxtyping import install_import_hook
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -40,9 +39,6 @@ CACHE = os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".jax_cach
 LEAST = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 jax.config.update("jax_compilation_cache_dir", CACHE)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", float(LEAST))
-
-with install_import_hook("giajax", "beartype.beartype"):
-    import giajax  # noqa: F401
 
 # Every compiled program maps memory, and a process may have 65,530 maps: beyond them the compiler
 # dies, after a thousand tests.

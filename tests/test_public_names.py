@@ -74,7 +74,7 @@ def test_signatures_are_complete():
     stated = giajax.FitSettings()
     for name in ("free", "loss", "max_iterations", "spread"):
         assert shown[name] == ("KEYWORD_ONLY", getattr(stated, name))
-    assert shown["max_iterations"][1] == 50
+    assert (shown["max_iterations"][1], shown["starts"][1]) == (50, 8)
     assert "spread" not in inspect.signature(giajax.fit).parameters
 
 

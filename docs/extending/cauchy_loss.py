@@ -45,9 +45,9 @@ def main():
     made = recording()
     giajax.write_run("outliers.csv", made.times, made.values, definition=made.definition)
     run = giajax.read_run("outliers.csv")
+    model, start = giajax.model_for([run]), {"air.drag_coefficient": 0.7}
     for loss in ("linear", StudentT(degrees_of_freedom=4.0), CauchyLoss()):
-        start = {"air.drag_coefficient": 0.7}
-        result = giajax.fit(giajax.model_for([run]), run, start=start, loss=loss, check=False)
+        result = giajax.fit(model, run, start=start, loss=loss, check=type(loss) is CauchyLoss)
         drag = result.parameters["air.drag_coefficient"]
         if loss == "linear":
             assert abs(drag.value / TRUTH - 1) > 0.3

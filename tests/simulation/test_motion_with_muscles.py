@@ -9,10 +9,12 @@ from numpy.testing import assert_allclose
 
 from giajax import InputError
 from giajax.mechanics.arm import (
+    AbstractJointLaw,
     Pneumatics,
     damping_power,
     drag_power,
     kinetic_energy,
+    mass_matrix,
     muscle_power,
     potential_energy,
     takeichi_20m,
@@ -144,6 +146,38 @@ def test_a_short_lag_is_a_fast_motion_of_explicit_steps():
     assert float(rate(plain, still)) < 500
     assert float(rate(quick, still)) > 1000
     assert float(rate(quick, still, springs=False)) == 0
+
+
+class Stiffened(AbstractJointLaw):
+    """A bellows that its pressures stiffen; it has no controller."""
+
+    passive = False
+
+    def commanded(self, command):
+        return jnp.zeros((2, command.size))
+
+    def torque(self, at):
+        return -1e-3 * jnp.sum(at.pressures, axis=0) * at.angles
+
+    def energy(self, at):
+        return jnp.zeros_like(at.angles)
+
+
+def test_steps_for_derivatives_are_short_while_pressures_of_a_run_stiffen_a_law_of_ones_own():
+    arm = takeichi_20m(1, joint_laws=[Stiffened()])
+    rate = np.sqrt(1e-3 * 6e5 / float(jax.jit(mass_matrix)(arm, jnp.zeros(1))[0, 0]))
+
+    def taken(*pressures):
+        """Steps of an arm at rest in the first and in the second of two seconds, together."""
+        signal = steps([0.0, 1.0], [[pressure] * 2 for pressure in pressures])
+        options = {"pressure": Pressures(signal, (1,)), "steps_for": "derivatives"}
+        return int(simulate(arm, joint_steps(1, {}), np.linspace(0.0, 2.0, 3), **options).steps[0])
+
+    soft, late, stiff = taken(0, 0), taken(0, 3e5), taken(3e5, 3e5)
+    # tsit5 is stable with steps of 2 / rate.
+    assert late - soft / 2 >= rate / 2
+    assert stiff >= rate
+    assert soft < rate / 2
 
 
 @pytest.mark.slow

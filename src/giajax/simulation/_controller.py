@@ -179,8 +179,11 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         """`longest` and `slowness` of a step that begins here, s."""
         if self.mobility is None:
             return self.longest, self.slowness
-        command = inputs.command(jnp.minimum(time, inputs.end))
-        rate = fastest_rate(inputs.arm, state[0], command, mobility=self.mobility)
+        time = jnp.minimum(time, inputs.end)
+        command = inputs.command(time)
+        supplied = inputs.supplied(time, command)
+        mobility = self.mobility
+        rate = fastest_rate(inputs.arm, state[0], command, pressures=supplied, mobility=mobility)
         slowness = jnp.minimum(self.slowness, 1 / rate)
         return jnp.minimum(self.longest, self.length * slowness), slowness
 

@@ -38,17 +38,19 @@ def fastest_rate(
     angles: Float[Array, " joint"],
     command: Float[Array, " joint"] | None = None,
     *,
+    pressures: Float[Array, "2 joint"] | None = None,
     springs: bool = True,
     mobility: Float[Array, "joint joint"] | None = None,
 ) -> Scalar:
     """Rate of the fastest motion of springs, dampers, gravity and lags at some angles (rad), 1/s.
 
-    By default these angles are commanded (rad). Without `springs` (and dampers, and the lag of
-    muscles) that of gravity alone. With the `mobility`, which is the inverse of the mass matrix, a
-    bound of it that costs little.
+    By default these angles are commanded (rad), and `pressures` (Pa) are those of the controller.
+    Without `springs` (and dampers, and the lag of muscles) that of gravity alone. With the
+    `mobility`, which is the inverse of the mass matrix, a bound of it that costs little.
     """
     # Lengths of steps are no part of what is differentiated.
-    arm, angles, command = jax.lax.stop_gradient((arm, angles, command))
+    of_these = (arm, angles, command, pressures)
+    arm, angles, command, pressures = jax.lax.stop_gradient(of_these)
     if mobility is None:
         factor = jnp.linalg.cholesky(mass_matrix(arm, angles))
 
@@ -70,13 +72,16 @@ def fastest_rate(
     if not springs:
         return largest(hanging)
     laws = arm.joint_laws
-    at = laws.at(angles, jnp.zeros_like(angles), angles if command is None else command)
+    command = angles if command is None else command
+    at = laws.at(angles, jnp.zeros_like(angles), command, pressures=pressures)
     stiffest, (_, damping) = laws.stiffest(at), laws.slopes(at)
     # What runs away does so as fast as it would swing.
     rate = jnp.hypot(largest(jnp.abs(stiffest) + hanging), largest(jnp.abs(damping)) ** 2)
-    for law, own in laws.each(at):
-        if law.rows:
-            rate = jnp.hypot(rate, jnp.max(law.state_slopes(own)[2]))
+    if laws.rows:
+        of_muscles = arm.joints.further_laws.rows
+        for rows in jnp.split(laws.state_slopes(at)[2], [of_muscles]):
+            if len(rows):
+                rate = jnp.hypot(rate, jnp.max(rows))
     return rate
 
 
@@ -121,10 +126,12 @@ class Inputs(eqx.Module):
         self, laws: JointLaws, time: Any, angles: Array, rates: Array, states: Array | None
     ) -> JointState:
         """The joints as laws see them, by default at the beginning of a motion."""
-        command, pressures = self.command(time), None
-        if self.pressure is not None:
-            pressures = self.pressure.at(self.arm, time, command)
-        return laws.at(angles, rates, command, states, pressures)
+        command = self.command(time)
+        return laws.at(angles, rates, command, states, self.supplied(time, command))
+
+    def supplied(self, time: Any, command: Array) -> Float[Array, "2 joint"] | None:
+        """Pressures (Pa) of the run; None where the controller alone supplies them."""
+        return None if self.pressure is None else self.pressure.at(self.arm, time, command)
 
     def inside(self, time: Any, memory: Array) -> Float[Array, "2 joint"] | None:
         """Pressures (Pa) in muscles, where laws have these states; None without muscles."""

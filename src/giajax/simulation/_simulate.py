@@ -201,15 +201,15 @@ def integrate(
         rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
     method: Any = solver_named(solver, reverse=derivatives == "reverse")
     laws = arm.further_laws
+    pulled = followed(command, arm.joints.drive_gain, arm.joints.drive_lag)
+    moved = Inputs(arm, pulled, wind, torque, eqxi.prevbefore(end), pressure, first=begin)
     fastest = mobility = None
     if steps_for == "derivatives":
-        rate = fastest_rate(arm, state[0])
+        rate = fastest_rate(arm, state[0], pressures=moved.supplied(begin, state[0]))
         implicit = isinstance(method, LinearlyImplicit)
         fastest = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
         if arm.joints.laws:
             mobility = jax.lax.stop_gradient(jnp.linalg.inv(mass_matrix(arm, state[0])))
-    pulled = followed(command, arm.joints.drive_gain, arm.joints.drive_lag)
-    moved = Inputs(arm, pulled, wind, torque, eqxi.prevbefore(end), pressure, first=begin)
     controller: Any = stepsize_controller
     if not isinstance(controller, diffrax.StepTo):
         turning = arm.joints.further_laws.rows > 0
