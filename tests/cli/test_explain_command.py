@@ -118,7 +118,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
     assert "leave out the others" in error
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_turned_camera_and_a_wind_are_found_beside_what_is_always_uncertain(tmp_path):
     """Where the truth is known: camera free, and both omissions at once."""
     times = np.linspace(0.0, 6.0, 61)

@@ -43,6 +43,7 @@ from ._refit import StudyRecord, fit_key, refit, with_fitted_state
 from ._stepwise import (
     MOST,
     TRIES,
+    AbstractFits,
     Climb,
     Fits,
     Measured,
@@ -184,7 +185,7 @@ FITS = "fits"
 """In the folder of an explanation, a result for each fit that it made."""
 
 
-class Kept(Fits):
+class Kept(AbstractFits):
     """Fits that end with a budget, are told, and are kept in a folder, if there is one.
 
     The journal has a line for each thing that was computed, in order; where it holds what is asked
@@ -239,7 +240,7 @@ class Kept(Fits):
         if (line := self._next("suspects")) is not None:
             return from_plain(Suspects, line["suspects"], f"{JOURNAL} is damaged", "remove it")
         self.say("testing what the fit held or left out ...")
-        found = super().suspects(result, runs)
+        found = Fits().suspects(result, runs)
         self._keep({"name": "suspects", "suspects": found})
         return found
 
@@ -254,7 +255,7 @@ class Kept(Fits):
         try:
             # What is not there by then goes on in the fits that follow.
             limits: dict[str, Any] = {"max_iterations": _ITERATIONS, "progress": stop_if_asked}
-            found = super().refit(name, result, runs, budget=self.budget, **changed, **limits)
+            found = Fits().refit(name, result, runs, budget=self.budget, **changed, **limits)
         except InputError as error:
             self._keep({"name": name, "refused": str(error)})
             raise

@@ -1,5 +1,6 @@
 """Stepwise selection: what the residuals ask for is fitted in turn, from where the last ended."""
 
+import abc
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
@@ -168,20 +169,32 @@ def _deviation(deviations: Mapping[str, float], name: str) -> float:
     return float(np.mean(alike or list(deviations.values())))
 
 
-class Fits:
+class AbstractFits(abc.ABC):
     """What a selection computes, by names that are told and, of a journal, kept."""
 
+    @abc.abstractmethod
     def suspects(self, result: FitResult, runs: Sequence[Run]) -> Suspects:
         """What the residuals of a fit ask for."""
-        return suspects(result, runs)
 
+    @abc.abstractmethod
     def refit(self, name: str, result: FitResult, runs: Sequence[Run], **changed: Any) -> FitResult:
         """A fit again with something changed; white noise is the same for all."""
-        return refit(result, runs, **{"noise_model": "white", **changed})
 
     def measured(self, *of: Any, removed: bool = False) -> Measured:
         """What a fit leaves over, as `Measured.of`."""
         return Measured.of(*of, removed=removed)
+
+
+class Fits(AbstractFits):
+    """Each of them computed when it is asked for."""
+
+    def suspects(self, result: FitResult, runs: Sequence[Run]) -> Suspects:
+        """As of `suspects`."""
+        return suspects(result, runs)
+
+    def refit(self, name: str, result: FitResult, runs: Sequence[Run], **changed: Any) -> FitResult:
+        """As of `refit`."""
+        return refit(result, runs, **{"noise_model": "white", **changed})
 
 
 Tried = tuple[Measured, list[Run], list[Run]]
@@ -194,7 +207,7 @@ def tried_steps(
     apart: Sequence[Run],
     promising: Sequence[Suspect],
     tries: int,
-    fits: Fits,
+    fits: AbstractFits,
     last: Measured | None = None,
 ) -> list[Tried]:
     """The fits of the first so many suspects that can be fitted, each by itself.
@@ -253,7 +266,11 @@ def is_one(model: AbstractModel, suspect: Suspect) -> bool:
 
 
 def _with(
-    result: FitResult, runs: Sequence[Run], apart: Sequence[Run], suspect: Suspect, fits: Fits
+    result: FitResult,
+    runs: Sequence[Run],
+    apart: Sequence[Run],
+    suspect: Suspect,
+    fits: AbstractFits,
 ) -> tuple[FitResult, list[Run], list[Run]]:
     """A fit with what a suspect asks for, and the runs and those held out as it sees them."""
     same, again = (list(runs), list(apart)), functools.partial(fits.refit, suspect.path, result)
@@ -365,7 +382,7 @@ class Climb:
 
     runs: list[Run]
     apart: list[Run]
-    fits: Fits = dataclasses.field(default_factory=Fits)
+    fits: AbstractFits = dataclasses.field(default_factory=Fits)
     progress: Callable[[Step], None] | None = None
     taken: list[Measured] = dataclasses.field(default_factory=list)
     asked: list[Suspects | None] = dataclasses.field(default_factory=list)
