@@ -365,7 +365,7 @@ def explain(
         climb.take(first)
         chosen = functools.partial(_chosen, tries)
         # White noise may lead a wrong model astray, to where what is missing acts no more.
-        begin = (result, whole) if _moved(result, first.result) and not outliers else None
+        begin = (partly, whole) if _moved(result, first.result) and not outliers else None
         for _ in range(max_steps):
             end = climb.step(tries + _MEMBERS, chosen, _preferred, begin)
             if end and begin is not None:
