@@ -24,7 +24,9 @@ TIGHT = 1e-13
 def uneven():
     """Nothing alike, in a wind that grows, so that all of it moves at once."""
     wind = ramps([0.0, 1.0], [[0.2, -0.1, 0.3], [0.5, 0.2, 0.1]])
-    return replace(full_arm(LINKS), {"joints.drive_lag": 0.3}), wind
+    drives = {"joints.drive_lag": 0.3, "joints.drive_gain": 0.9}
+    drives |= {"joints.stiffness_factor": 1.1, "joints.stiffness_drift": 0.2}
+    return replace(full_arm(LINKS), drives), wind
 
 
 def floating():
@@ -40,6 +42,9 @@ def floating():
         "joints.armature": 0.01,
         # A little below 0 the motion is as smooth as above.
         "joints.drive_lag": 0.0,
+        "joints.drive_gain": 1.0,
+        "joints.stiffness_factor": 1.0,
+        "joints.stiffness_drift": 0.0,
     }
     # By Reynolds number C_D is so large at first that a difference would have to be tiny.
     arm = takeichi_20m_full(LINKS, drag_curve="constant", parameters=options)

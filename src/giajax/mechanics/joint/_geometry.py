@@ -205,9 +205,8 @@ def muscle_path(
     contact_x, contact_y = geometry.contact(jnp.where(inner, 0, angle))
     wrapped = anchor_y < contact_y
     engaged = jnp.where(inner, taut, wrapped)
-    # H, or O: where the outer muscle crosses the bisector. With anchor_y and contact_y of above XLA
-    # fuses the path in another way, and muscles cost 5 % more.
-    crossing = jnp.maximum(geometry.anchor(angle)[1], geometry.contact(angle)[1])
+    # H, or O: where the outer muscle crosses the bisector.
+    crossing = jnp.maximum(anchor_y, contact_y)
     height = jnp.where(inner, jnp.where(taut, held, anchor_y), crossing)
     # Where the path bends: at the bush, or at the balloon's shoulder.
     corner_x = jnp.where(inner, 0, contact_x)
