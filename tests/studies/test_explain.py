@@ -1,7 +1,6 @@
 """Explanations: what is missing is found, kept, resumed and said, and no more than that."""
 
 import dataclasses
-import signal
 from typing import ClassVar
 
 import numpy as np
@@ -74,7 +73,7 @@ def test_what_ends_it_early_gives_all_that_was_reached():
 
     def stop(sentence):
         if "step 1" in sentence:
-            signal.raise_signal(signal.SIGINT)
+            raise KeyboardInterrupt
 
     found = explain(first, recording, say=stop)
     assert found.record.ended == "interrupted"
