@@ -26,6 +26,7 @@ CASES = {
             "sensors": {"encoder_scale": 1.02, "marker_up_m": 0.15},
             "wind": {"velocity_m_per_s": [0.3, 0.0, 0.1]},
             "command": {"interpolation": "zoh"},
+            "uncertainty": {"defaults": False},
         },
         "truth": {
             "air.drag_coefficient": 1.3,
