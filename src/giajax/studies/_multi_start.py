@@ -111,7 +111,7 @@ STARTS = 8
 """Starts of `multi_start`, where nobody says how many."""
 
 
-@keywords_listed({**FIT_DEFAULTS, "starts": STARTS})
+@keywords_listed(FIT_DEFAULTS | {"starts": STARTS})
 def multi_start(
     model: AbstractModel,
     runs: Run | Sequence[Run],
