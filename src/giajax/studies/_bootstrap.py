@@ -1,7 +1,6 @@
 """A fit repeated with data that might have been recorded instead: the bootstrap."""
 
 import dataclasses
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Self, Unpack, get_args
@@ -9,10 +8,10 @@ from typing import Any, Literal, Self, Unpack, get_args
 import numpy as np
 from scipy.special import betaincinv
 
-from ..fitting import FitResult, Optimum, Recorded, Statistics, prior_of, student_reach
+from ..fitting import FitResult, Optimum, Recorded, Statistics, student_reach
 from ..models import capabilities
 from ..noise import ChannelNoise, drawn
-from ..recordings import PriorEntry, Run
+from ..recordings import Run
 from ..runtime.arrays import Float
 from ..runtime.execution import Execution
 from ..runtime.text import InputError, keywords_listed
@@ -283,7 +282,7 @@ def replicates(
                 dataclasses.replace(run, values={**run.values, **values})
                 for run, values in zip(fitted.runs, recorded, strict=True)
             ]
-            anew = refit(fitted.result, others, priors=_priors_again(optimum, random))
+            anew = refit(fitted.result, others)
             there = optimum_of(anew, others)
             end = anew.status == "converged", anew.reason
             rows.append(_found(fitted.result, there, there.statistics, *end))
@@ -335,23 +334,6 @@ def known_again(
     values = optimum.values[list(priors.columns)]
     middle = np.where(priors.logarithmic, np.log(np.where(priors.logarithmic, values, 1)), values)
     return np.asarray(random.normal(middle, np.asarray(priors.spread)))
-
-
-def _priors_again(optimum: Optimum, random: np.random.Generator) -> dict[str, PriorEntry | None]:
-    """The priors of a fit with such centres, by path: of several values, with that of the first."""
-    centres, known = known_again(optimum, random), optimum.state.setup.priors
-    drawn: dict[str, PriorEntry | None] = {}
-    if centres is None:
-        return drawn
-    columns = optimum.state.problem.priors.columns
-    for column, centre in zip(columns, centres.tolist(), strict=True):
-        path = optimum.labels[column].partition(" of ")[0]
-        prior = prior_of(known, path)
-        if prior is not None:
-            value = math.exp(centre) if prior.logarithmic else centre
-            said = {**prior.contents(), "value": value}
-            drawn.setdefault(path, PriorEntry.model_validate(said))
-    return drawn
 
 
 def _sources(optimum: Optimum) -> list[Residuals]:
@@ -437,7 +419,7 @@ def bootstrap(
 
     Raises:
         InputError: other runs than those of the result, which has not converged; a size or method
-            that is none; or not two repetitions that could be done.
+            that is none; a whole fit with priors; or not two repetitions that could be done.
 
     Example:
         >>> found = giajax.bootstrap(result, runs, size=400)  # doctest: +SKIP
@@ -451,6 +433,11 @@ def bootstrap(
         raise InputError(f"there is no bootstrap '{method}': use one of: parametric, block")
     if seed < 0:
         raise InputError(f"the seed is {seed}: give 0 or a positive number")
+    if whole and result.config.get("priors"):
+        raise InputError(
+            "a fit with priors cannot be repeated whole, because what they know is not drawn anew "
+            "there: leave whole (--whole) out, or fit without (--no-nuisances)"
+        )
     optimum = fitted.optimum()
     common = {"method": method, "whole": whole, "seed": seed}
     firsts = range(0, size, CHUNK)
