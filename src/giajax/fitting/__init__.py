@@ -8,7 +8,6 @@ from ._configuration import (
     Tie as Tie,
     WarmStart as WarmStart,
     between as between,
-    in_full as in_full,
     resolved_ties as resolved_ties,
     set_up as set_up,
     tied as tied,
@@ -66,6 +65,7 @@ from ._losses import (
     check_loss as check_loss,
     loss_of as loss_of,
 )
+from ._nuisances import in_full as in_full
 from ._optimum import (
     CellEquations as CellEquations,
     Equations as Equations,

@@ -29,7 +29,7 @@ from ..schema.parameters import (
 )
 from ._coordinates import Layout, members, sharing
 from ._losses import AbstractLoss, check_loss, loss_of
-from ._nuisances import in_full as in_full, with_nuisances, with_scattering
+from ._nuisances import with_nuisances, with_scattering
 from ._weights import prior_of
 
 Module = TypeVar("Module", bound=eqx.Module)

@@ -203,7 +203,8 @@ def parameter_rows(
     for path, indices in members.items():
         among = [candidates[index] for index in indices]
         if path in scattering:
-            rows.append(_scatter_row(path, scatter(rest, indices)))
+            note = "how much its elements scatter, as a standard deviation"
+            rows.append(_amount_row(path, "scatter", scatter(rest, indices), note))
             continue
         found = score(
             rest,
@@ -247,10 +248,11 @@ def _row(path: str, among: Sequence[Candidate], found: Score, others: tuple[str,
     )
 
 
-def _scatter_row(path: str, found: Score) -> Suspect:
+def _amount_row(path: str, kind: SuspectKind, found: Score, note: str = "") -> Suspect:
+    """A row of something that a fit has none of, and of which a test finds so much."""
     return Suspect(
         path=path,
-        kind="scatter",
+        kind=kind,
         unit="",
         value=0.0,
         estimate=float(found.step[0]),
@@ -259,7 +261,7 @@ def _scatter_row(path: str, found: Score) -> Suspect:
         degrees_of_freedom=1,
         p_value=found.p_value,
         testable=True,
-        note="how much its elements scatter, as a standard deviation",
+        note=note,
     )
 
 
@@ -288,19 +290,7 @@ def switch_row(rest: Projected, index: int, name: str) -> Suspect:
     if norm < 1 or left < max(1.0, IMITATED * norm):
         note = "what was fitted imitates it" if norm >= 1 else "it changes no prediction"
         return _untestable(name, "switch", note, value=0.0)
-    found = score(rest, [index], [0.0], [1.0])
-    return Suspect(
-        path=name,
-        kind="switch",
-        unit="",
-        value=0.0,
-        estimate=float(found.step[0]),
-        estimate_error=float(found.error[0]),
-        chi_square_drop=found.drop,
-        degrees_of_freedom=1,
-        p_value=found.p_value,
-        testable=True,
-    )
+    return _amount_row(name, "switch", score(rest, [index], [0.0], [1.0]))
 
 
 def suspects(
