@@ -76,8 +76,6 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
     run(plugin)
     file = f"{folder}/prediction.csv"
     report, fit = ("report", folder), ("fit", "--data", file, "--no-suspects")
-    if checked := json.loads(Path(folder, "result.json").read_text())["gradient_check"]:
-        assert checked["relative_difference"] < 1e-4
     # The script has asked for the suspects of the law; workers import a plug-in, too.
     commands = {
         "cauchy_loss": [report, (*fit, "--loss", "CauchyLoss")],
@@ -86,6 +84,9 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
     words = [[*each, "--plugin", str(plugin)] for each in commands.get(name, [report, fit])]
     # In another process than the script, all in one: it imports JAX once.
     run("-c", COMMANDS, json.dumps(words))
+    # Fitted by the script, but for the coffee filter: its page has a command for that.
+    if checked := json.loads(Path(folder, "result.json").read_text())["gradient_check"]:
+        assert checked["relative_difference"] < 1e-4
     # Without the plug-in, which this process has not imported.
     assert main(["report", folder, "--force"]) == 2
     assert f"it was made with {name}.py: give --plugin {name}.py" in capsys.readouterr().err
