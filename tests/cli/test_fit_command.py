@@ -466,3 +466,19 @@ def test_help_imports_neither_jax_nor_matplotlib():
     assert "--start PATH=VALUE" in done.stdout
     assert "giajax fit --data run.csv" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 80
+
+
+def test_what_is_odd_in_a_recording_comes_first_and_stays_in_the_result(tmp_path, capsys):
+    path = make_run(tmp_path)
+    sidecar = path.with_suffix(".toml")
+    sidecar.write_text("\n".join(x for x in sidecar.read_text().split("\n") if "sha256" not in x))
+    lines = path.read_text().splitlines()
+    for row in (9, 30):
+        lines[row] = ",".join([*lines[row].split(",")[:-1], "-9999"])
+    path.write_text("\n".join(lines) + "\n")
+    main(["fit", "--data", str(path), "--max-iterations", "1", "--out", str(tmp_path / "o"),
+          "--no-figures", "--no-suspects"])  # fmt: skip
+    said = capsys.readouterr().err
+    assert said.index("note: run: 2 cells of column 'link04_z_m' are -9999") < said.index("cost")
+    record = json.loads((tmp_path / "o" / "result.json").read_text())
+    assert record["findings"][0]["code"] == "odd_recording"

@@ -11,34 +11,44 @@ from ..runtime.text import InputError
 from ._commands import Force, ForceRun, Renamed, Texts, argument, command, print_table
 from ._values import numbers
 
+_ODD = 3  # with --strict
+
 
 @command("""\b
 Examples:
   giajax check run.csv
   giajax check camera.csv --rename t=time_s --rename "z 6"=link06_z_m
-  giajax check run.csv --json""")
+  giajax check run.csv --strict --json
+
+\b
+What is odd comes first, as notes: units, signs, labels, lost cells, glitches and
+constants, by their magnitudes; nothing is changed.
+Exit status: 0; 2 bad input or usage; 3 with --strict, where something is odd.""")
 def check(
     run: Annotated[Path, argument("RUN", "The run, a .csv or .parquet file.")],
     rename: Renamed = None,
     as_json: Annotated[bool, "--json", "Print JSON instead of tables."] = False,
+    strict: Annotated[bool, "End with status 3 where something is odd."] = False,
 ) -> None:
-    """Say what a run holds.
+    """Say what a run holds, and what of it is odd.
 
-    Model, samples, commands, channels with their range and noise, and what is assumed because
-    the sidecar does not state it.
+    Model, samples, commands, channels with their range and noise, what is rarely so in a right
+    recording, and what is assumed because the sidecar does not state it.
     """
     from ..recordings import describe, parse_rename, read_run
 
     facts = describe(read_run(run, rename=parse_rename(rename or [])))
     if as_json:
         typer.echo(json.dumps(facts, indent=2))
-        return
-    print_table(["", ""], _summary(facts), left=2)
-    print()
-    headings = ["channel", "part", "unit", "values", "missing %", "min", "max", "noise"]
-    print_table(headings, [_row(channel) for channel in facts["channels"]], left=3)
-    if facts["notes"]:
-        print("", *(f"note: {note}" for note in facts["notes"]), sep="\n")
+    else:
+        print_table(["", ""], _summary(facts), left=2)
+        print()
+        headings = ["channel", "part", "unit", "values", "missing %", "min", "max", "noise"]
+        print_table(headings, [_row(channel) for channel in facts["channels"]], left=3)
+        if facts["notes"]:
+            print("", *(f"note: {note}" for note in facts["notes"]), sep="\n")
+    if strict and facts["oddities"]:
+        raise typer.Exit(_ODD)
 
 
 def _summary(facts: dict[str, Any]) -> list[tuple[str, str]]:

@@ -296,6 +296,8 @@ def run_fit(
     check_folder(task.out, ready.runs, ready.setup.config, force=force)
     if report:
         check_page(task.out / PAGE, force=force)
+    for odd in () if quiet else ready.odd:
+        _say(f"note: {odd.sentence}: {odd.advice}")
     before = None if again is None or task.resolved is None else stored_result(again)[1]
     settings = task.definition.fit
     with (

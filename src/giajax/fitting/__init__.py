@@ -34,7 +34,11 @@ from ._derived import (
     units_in_si as units_in_si,
     units_note as units_note,
 )
-from ._estimates import Finding as Finding, student_reach as student_reach
+from ._estimates import (
+    Finding as Finding,
+    odd_recordings as odd_recordings,
+    student_reach as student_reach,
+)
 from ._fit import (
     Refit as Refit,
     check_effect as check_effect,

@@ -1,7 +1,7 @@
 """Estimates of the parameters: value, standard error, and what a reader must know of them."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ from scipy.special import erfc, stdtrit
 
 from ..models import AbstractModel, parameter_values
 from ..noise import PRIOR_LEVEL, Reason
+from ..recordings import Run, oddities
 from ..runtime.records import finite_or_none
 from ..runtime.text import format_estimate, one_of
 from ..schema import Declaration
@@ -75,6 +76,15 @@ def findings(
         *_priors(state, statistics),
         *_bent(statistics, curvatures),
         *_short(correlation_times),
+    )
+
+
+def odd_recordings(runs: Iterable[Run]) -> tuple[Finding, ...]:
+    """What is odd in recordings before they are fitted: a finding for each oddity of each run."""
+    return tuple(
+        Finding("odd_recording", (), f"{run.name}: {odd.sentence}", odd.remedy)
+        for run in runs
+        for odd in oddities(run)
     )
 
 

@@ -114,6 +114,11 @@ def bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
     """What is wrong with the unit of a column or channel (`what`) of a row, and what to do."""
     row, units = column_table()[kind], units_of(kind)
     quantity = row.quantity
+    if suffix in ("percent", "pct", "%"):
+        return (
+            f"{what} {shown(name)} is in percent, but {row.column} must be a ratio: divide the "
+            f"values by 100 and call it {row.column}"
+        )
     if units == [""]:
         return (
             f"{what} {shown(name)} ends in {shown(suffix)}, but {row.column} has no unit: "

@@ -1,26 +1,25 @@
 """What a run holds, as plain data for a person to check."""
 
-from pathlib import Path
+import dataclasses
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..schema import WindSection
+from ._plausible import oddities
 from ._read import sidecar_path
 from ._run import Run
-
-# Steps of time that follow each other and differ by a larger factor are noted; with room for
-# rounding, because a change from ms to s is one by 1000.
-_LEAP = 990.0
 
 
 def describe(run: Run) -> dict[str, Any]:
     """What a run holds, as plain data (dicts, lists, str, int, float, bool, None).
 
     They are `name`, `path`, `model`, `rows`, `time` (s), `command`, `wind`, `channels` (each in its
-    recorded unit), `sidecar` and `notes`, sentences on what is assumed because it is not stated.
+    recorded unit), `sidecar`, `oddities` (`Oddity` as a dict) and `notes`, sentences on these and
+    on what is assumed because it is not stated.
     """
+    odd = oddities(run)
     rows = len(run.times) if run.times is not None else len(next(iter(run.values.values())))
     return {
         "name": run.name,
@@ -32,7 +31,8 @@ def describe(run: Run) -> dict[str, Any]:
         "wind": _wind(run),
         "channels": [_channel(run, name) for name in run.channels],
         "sidecar": _sidecar(run),
-        "notes": _notes(run),
+        "oddities": [dataclasses.asdict(each) for each in odd],
+        "notes": [*map(str, odd), *_notes(run)],
     }
 
 
@@ -133,27 +133,8 @@ def _sidecar(run: Run) -> dict[str, Any] | None:
     }
 
 
-def _leaps(times: npt.NDArray[np.float64], path: Path | None) -> list[str]:
-    """A note where the time step changes thousandfold: milliseconds among seconds, or a gap."""
-    steps = np.diff(times)
-    changes = np.abs(np.diff(np.log10(steps))) > np.log10(_LEAP)
-    if not changes.any():
-        return []
-    at = int(np.flatnonzero(changes)[0])
-    # The second of the two steps ends at the sample after the next.
-    first_row = 2 if path is not None and path.suffix.lower() == ".csv" else 1
-    row = f"sample {at + 2}" if path is None else f"row {at + 2 + first_row}"
-    again = int(changes.sum()) - 1
-    more = f", and again {again} time{'s' * (again > 1)} after it" if again else ""
-    return [
-        f"the time step changes from {steps[at]:.3g} s to {steps[at + 1]:.3g} s in {row}{more}: "
-        "check the unit of the time stamps, and whether rows are missing"
-    ]
-
-
 def _notes(run: Run) -> list[str]:
     notes = run.kind.notes(run, _sidecar(run) is not None)
-    notes += [] if run.times is None else _leaps(run.times, run.path)
     if not run.observations:
         notes.append("no measured channel: the run can be simulated, but not fitted")
     silent = [name for name in run.observations if run.noise(name) is None]

@@ -53,6 +53,13 @@ def check_times(times: Times, naming: Naming, *, integrated: bool) -> None:
         )
     steps = np.diff(times)
     if (at := _first(steps <= 0)) is not None:
+        least = np.median(np.abs(steps))
+        if 1 < at < len(steps) - 1 and times[at + 1] <= times[0] + least and steps[at] < -least:
+            raise InputError(
+                f"{naming.source}: a second recording seems to begin in {naming.at(at + 1)}, where "
+                f"time goes from {times[at]:.9g} s back to {times[at + 1]:.9g} s, but it must "
+                "strictly increase: cut the file there, and give both parts with --data"
+            )
         raise InputError(
             f"{naming.source}: time goes from {times[at]:.9g} s to {times[at + 1]:.9g} s in "
             f"{naming.at(at + 1)}, but must strictly increase: sort the samples and remove "
@@ -369,6 +376,14 @@ class Run(ShownAsTable):
     def commands(self) -> dict[str, npt.NDArray[Any]]:
         """The channels that drive the model, wind apart: name -> (T,), SI."""
         return self._of_rows(self.kind.inputs)
+
+    @property
+    def naming(self) -> Naming:
+        """How sentences name its rows and columns: those of its file, or samples."""
+        if self.path is None:
+            return Naming(self.name, "sample", 0, columns=False)
+        first = 2 if self.path.suffix.lower() == ".csv" else 1
+        return Naming(str(self.path), "row", first, columns=True)
 
     @property
     def winds(self) -> dict[str, npt.NDArray[Any]]:

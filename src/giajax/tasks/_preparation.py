@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..fitting import (
+    Finding,
     FitJournal,
     FitResult,
     HoldOut,
@@ -17,6 +19,7 @@ from ..fitting import (
     Setup,
     WarmStart,
     load_result,
+    odd_recordings,
     prediction_errors,
     set_up,
     set_up_with_hold_out,
@@ -24,7 +27,7 @@ from ..fitting import (
     versions,
 )
 from ..models import model_for
-from ..recordings import Definition, Run
+from ..recordings import Definition, Run, read_run
 from ..runtime.plugins import check_sources, sources_of
 from ..runtime.text import InputError
 from ..studies import (
@@ -73,6 +76,16 @@ class Preparation:
         """What is held out of the runs: only these cells are in them."""
         parts = () if self.held_out is None else self.held_out.parts
         return tuple(part.held for part in parts if part.held is not None)
+
+    @functools.cached_property
+    def odd(self) -> tuple[Finding, ...]:
+        """What is odd in the recordings, as `giajax check` has it: rows are those of the files."""
+        settings, runs = self.setup.settings, self.runs
+        if settings.window_s is not None or self.held_out is not None:
+            names, about = self.record["rename"], self.definition
+            files = self.record["data"]
+            runs = tuple(read_run(path, rename=names, definition=about) for path in files)
+        return odd_recordings(runs)
 
     @contextlib.contextmanager
     def open_journal(
@@ -163,7 +176,12 @@ class Preparation:
             result = interrupted(result, "before its validation was complete")
             if self.held_out is not None and not result.held_out:
                 result = self.held_out.unjudged(result)
-        return dataclasses.replace(result, validation=tuple(errors), task=dict(self.record))
+        return dataclasses.replace(
+            result,
+            validation=tuple(errors),
+            findings=(*self.odd, *result.findings),
+            task=dict(self.record),
+        )
 
     def diagnosed(
         self,

@@ -1,0 +1,334 @@
+"""What `giajax check` says of recordings with a mistake that people make, and of right ones."""
+
+import functools
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from giajax.cli import main
+from giajax.recordings import Run, oddities, read_numbers, read_run, read_sidecar
+from giajax.runtime.text import InputError
+
+quick = pytest.mark.quick
+
+DATA = Path(__file__).parents[2] / "data"
+NAMES = ("base_step", "pitch_yaw", "joint", "muscle")
+
+# Right recordings: columns by name, as a file has them, and what the sidecar says.
+
+
+@functools.cache
+def table(name):
+    """The columns of a run of data/synthetic."""
+    path = DATA / "synthetic" / f"{name}.csv"
+    if name in ("joint", "muscle"):
+        run = read_run(path)
+        columns = {run.channels[n].column: run.values[n] for n in run.values}
+        return {
+            c: v if v.dtype == object else run.channels[n].from_si(v)
+            for (c, v), n in zip(columns.items(), run.values, strict=True)
+        }
+    return read_numbers(path)
+
+
+def recorded(name, rng):
+    """One of `NAMES` once more, with noise of its own on top."""
+    columns = {column: np.array(values) for column, values in table(name).items()}
+    definition = read_sidecar(DATA / "synthetic" / f"{name}.csv").contents()
+    definition.pop("sha256")
+    definition.pop("truth")
+    more = 10 ** rng.uniform(-2, 0.7)
+    for column, values in columns.items():
+        if column.endswith("_z_m") or column.endswith("_y_m") or column.endswith("_x_m"):
+            values += rng.normal(scale=0.02 * more, size=len(values))
+        elif column in ("force_N", "contraction"):
+            values += rng.normal(scale=1e-3 * min(more, 1), size=len(values))
+    if name in ("base_step", "pitch_yaw"):  # the demonstration, without its sidecar
+        definition = {} if rng.random() < 0.5 else {"arm": {"links": 20}}
+    return columns, definition
+
+
+def pendulum(rng):
+    """A swing with damping, from up to 150 deg, by semi-implicit steps."""
+    seconds, step, length = 20.0, 0.002, 10 ** rng.uniform(-0.7, 0.3)
+    angle, rate = np.deg2rad(rng.uniform(8, 150)), 0.0
+    damping, angles = rng.uniform(0.01, 0.3), []
+    for _ in range(int(seconds / step)):
+        angles.append(angle)
+        rate += step * (-9.81 / length * np.sin(angle) - damping * rate)
+        angle += step * rate
+    noise = 10 ** rng.uniform(-1.5, 0)
+    shown = np.rad2deg(angles[::20]) + rng.normal(scale=noise, size=500)
+    columns = {"time_s": 0.04 * np.arange(500), "joint01_angle_deg": np.round(shown, 3)}
+    arm = {"preset": "pendulum", "links": 1, "link_length_m": length, "link_mass_kg": 0.1}
+    first = {"first_row": True, "free": True}
+    return columns, {"arm": arm, "free_motion": True, "initial": first,
+                     "noise": {"angle_deg": noise}}  # fmt: skip
+
+
+def right(name, rng):
+    return pendulum(rng) if name == "pendulum" else recorded(name, rng)
+
+
+def found(columns, definition):
+    return oddities(Run.from_frame(columns, definition=definition))
+
+
+def positions(columns):
+    return [column for column in columns if column.endswith("_m")]
+
+
+# Mistakes: each changes the columns or the definition, and says which it is of.
+
+
+def millimetres(columns, definition, rng):
+    for column in positions(columns):
+        columns[column] = 1000 * columns[column]
+
+
+def radians(columns, definition, rng):
+    for column in columns:
+        if column.endswith("command_deg"):
+            columns[column] = np.deg2rad(columns[column])
+
+
+def degrees(columns, definition, rng):
+    for column in [each for each in columns if each.endswith("_deg")]:
+        columns[column.removesuffix("deg") + "rad"] = columns.pop(column)
+
+
+def z_down(columns, definition, rng):
+    for column in positions(columns):
+        if column.endswith("z_m"):
+            columns[column] = -columns[column]
+
+
+def command_sign(columns, definition, rng):
+    columns["joint01_command_deg"] = -columns["joint01_command_deg"]
+
+
+def axes(columns, definition, rng):
+    for column in [each for each in columns if each.endswith("_y_m")]:
+        other = column.replace("_y_", "_z_")
+        columns[column], columns[other] = columns[other], columns[column]
+
+
+def labels(columns, definition, rng):
+    last = "link20_z_m"
+    columns["link06_z_m"], columns[last] = columns[last], columns["link06_z_m"]
+
+
+def measured(columns):
+    """A column that is measured and away from zero somewhere."""
+    usual = ("link12_z_m", "link20_z_m", "joint01_angle_deg", "force_N")
+    return next(column for column in usual if column in columns)
+
+
+def away(values, rng, count):
+    """Rows of cells that are well away from zero, and not beside each other."""
+    far = np.flatnonzero(np.abs(values) > 0.5 * np.nanmax(np.abs(values)))
+    far = far[(far > 8) & (far < len(values) - 8)]
+    if count > 2:
+        return rng.choice(far, size=min(count, len(far) // 3), replace=False)
+    first = rng.choice(far)
+    return np.array([first])
+
+
+def zeros(columns, definition, rng):
+    values = columns[measured(columns)]
+    values[away(values, rng, 12)] = 0.0
+
+
+def sentinel(columns, definition, rng):
+    values = columns[measured(columns)]
+    values[rng.choice(len(values), size=rng.integers(1, 6), replace=False)] = -9999
+
+
+def glitches(columns, definition, rng):
+    values = columns[measured(columns)]
+    rows = rng.choice(np.arange(10, len(values) - 10, 12), size=rng.integers(1, 6), replace=False)
+    values[rows] += rng.choice([-1, 1], len(rows)) * 2.5 * np.nanmax(np.abs(values))
+
+
+def origin(columns, definition, rng):
+    for column in positions(columns):
+        if column.endswith("z_m"):
+            columns[column] = columns[column] + 1.2
+
+
+def frames(columns, definition, rng):
+    columns["time_s"] = np.arange(float(len(columns["time_s"])))
+
+
+def milliseconds(columns, definition, rng):
+    columns["time_s"] = 1000 * columns["time_s"] * rng.uniform(0.5, 2)
+
+
+def wrong_joint(columns, definition, rng):
+    other = rng.choice([2, 4, 5, 7])
+    columns[f"joint{other:02d}_command_deg"] = columns.pop("joint01_command_deg")
+
+
+def take(columns, definition, rng):
+    half = len(columns["time_s"]) * 2 // 5
+    for column, values in columns.items():
+        if column == "time_s":
+            columns[column] = np.concatenate([values[:-1], values[-1] + values[: half + 1]])
+        else:
+            columns[column] = np.concatenate([values[:-1], values[: half + 1]])
+
+
+def percent(columns, definition, rng):
+    columns["contraction"] = 100 * columns["contraction"]
+
+
+def wrap(columns, definition, rng):
+    shifted = columns["joint01_angle_deg"] + 180.0
+    columns["joint01_angle_deg"] = (shifted + 180.0) % 360.0 - 180.0
+
+
+def mass(columns, definition, rng):
+    definition.setdefault("arm", {})["link_mass_kg"] = 47.0
+
+
+def gravity(columns, definition, rng):
+    definition.setdefault("arm", {})["gravity_m_per_s2"] = 9.81
+
+
+def at_rest(columns, definition, rng):
+    definition["initial"] = {"free": True}
+
+
+MISTAKES = {
+    millimetres: ("units", ["base_step", "pitch_yaw"]),
+    radians: ("units", ["base_step", "pitch_yaw"]),
+    degrees: ("units", ["base_step", "pitch_yaw", "pendulum"]),
+    z_down: ("signs", ["base_step", "pitch_yaw"]),
+    command_sign: ("signs", ["base_step"]),
+    axes: ("labels", ["pitch_yaw"]),
+    labels: ("labels", ["base_step"]),
+    zeros: ("lost cells", ["base_step", "pendulum", "muscle"]),
+    sentinel: ("lost cells", ["base_step", "pendulum", "muscle", "joint"]),
+    glitches: ("glitches", ["base_step", "pendulum", "muscle", "joint"]),
+    origin: ("frame", ["base_step", "pitch_yaw"]),
+    frames: ("time", ["base_step", "pendulum"]),
+    milliseconds: ("units", ["base_step", "pendulum"]),
+    wrong_joint: ("command", ["base_step"]),
+    take: ("take", ["base_step", "pendulum"]),
+    percent: ("units", ["joint", "muscle"]),
+    wrap: ("wrap", ["pendulum"]),
+    mass: ("constants", ["base_step"]),
+    gravity: ("constants", ["base_step"]),
+    at_rest: ("start", ["pendulum"]),
+}
+CASES = [(mistake, name) for mistake, (_, names) in MISTAKES.items() for name in names]
+
+
+def made(mistake, name, seed):
+    rng = np.random.default_rng(seed)
+    columns, definition = right(name, rng)
+    mistake(columns, definition, rng)
+    return found(columns, definition)
+
+
+@quick
+@pytest.mark.parametrize(
+    ("mistake", "name"), CASES, ids=[f"{mistake.__name__}-{name}" for mistake, name in CASES]
+)
+def test_a_mistake_is_named(mistake, name):
+    found = made(mistake, name, 1)
+    assert MISTAKES[mistake][0] in [odd.code for odd in found], found
+    assert all(odd.sentence and odd.remedy for odd in found)
+
+
+ALL = (*NAMES, "pendulum")
+
+
+@quick
+@pytest.mark.parametrize("name", ALL)
+def test_a_right_recording_gets_no_note(name):
+    for seed in range(4):
+        assert found(*right(name, np.random.default_rng(seed))) == []
+
+
+@pytest.mark.long
+def test_of_many_recordings_most_mistakes_are_named_and_no_right_one_is_accused():
+    for name in ALL:
+        odd = [s for s in range(100) if found(*right(name, np.random.default_rng(s + 1000)))]
+        assert len(odd) <= 2, (name, odd)
+    missed = [
+        (mistake.__name__, name, seed)
+        for (mistake, name), seed in itertools.product(CASES, range(6))
+        if MISTAKES[mistake][0] not in [odd.code for odd in made(mistake, name, seed + 100)]
+    ]
+    assert len(missed) <= 0.05 * 6 * len(CASES), missed
+
+
+# What its sidecar does not know of this one's camera is what a note is for.
+TURNED = DATA / "synthetic" / "camera_frame.csv"
+
+
+@quick
+@pytest.mark.parametrize(
+    "path",
+    sorted(p for p in DATA.rglob("*.csv") if p.with_suffix(".toml").exists()),
+    ids=lambda path: path.stem,
+)
+def test_what_ships_with_giajax_gets_no_note(path):
+    codes = [odd.code for odd in oddities(read_run(path))]
+    assert codes == (["frame"] if path == TURNED else [])
+
+
+# Sentences, and the command.
+
+SWING = "time_s,joint01_angle_deg\n" + "".join(
+    f"{0.04 * k:.2f},{40 * np.cos(4.4 * 0.04 * k):.3f}\n" for k in range(100)
+)
+SIDECAR = '[arm]\npreset = "pendulum"\nlinks = 1\n[initial]\nfirst_row = true\nfree = true\n'
+
+
+@pytest.fixture
+def swing(tmp_path):
+    def write(text, sidecar=SIDECAR):
+        (tmp_path / "run.toml").write_text(sidecar)
+        path = tmp_path / "run.csv"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@quick
+def test_check_says_rows_cause_and_remedy_and_ends_with_3_if_strict(swing, capsys):
+    lines = SWING.splitlines()
+    lines[20] = lines[20].split(",")[0] + ",-9999"
+    lines[41] = lines[41].split(",")[0] + ",-9999"
+    path = str(swing("\n".join(lines) + "\n"))
+    assert main(["check", path]) == 0
+    said = capsys.readouterr().out
+    assert "note: 2 cells of column 'joint01_angle_deg' are -9999 deg" in said
+    assert "(rows 21, 42)" in said
+    assert "empty these cells" in said
+    assert main(["check", path, "--strict"]) == 3
+    assert main(["check", str(swing(SWING)), "--strict"]) == 0
+
+
+@quick
+def test_a_second_take_is_no_matter_of_sorting(swing, capsys):
+    again = SWING + SWING.split("\n", 1)[1]
+    assert main(["check", str(swing(again))]) == 2
+    said = capsys.readouterr().err
+    assert "a second recording seems to begin in row 102" in said
+    assert "sort" not in said
+    with pytest.raises(InputError, match="sort the samples"):
+        read_run(swing(SWING.replace("\n1.00,", "\n0.90,")))
+
+
+@quick
+def test_percent_is_no_matter_of_a_name(tmp_path, capsys):
+    path = tmp_path / "run.csv"
+    path.write_text("pressure_kPa,contraction_percent,force_N\n100,0,80\n100,2,73\n")
+    assert main(["check", str(path)]) == 2
+    assert "divide the values by 100" in capsys.readouterr().err
