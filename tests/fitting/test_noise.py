@@ -158,6 +158,21 @@ def test_a_record_of_few_correlation_times_is_a_finding():
     assert "short_record" in codes
 
 
+def test_a_trend_over_the_whole_record_makes_no_error_smaller():
+    """Noise that is stated far too large can only be taken for one that does not change."""
+    long = np.linspace(0.0, 200.0, 4000)  # beside which the decay is short
+    cautious = recording(white=0.03, correlated=0.0, noise={"position": 0.6}, times=long)
+    result = fit(Decay(), cautious, start=START)
+    assert result.noise.trends == ["tip_z"]
+    assert min(result.noise.widening.values()) >= 1 - 1e-9
+    assert (result.verdict.status, result.verdict.reasons[0].code) == ("doubtful", "too_small")
+    assert "which makes no error smaller" in summary(result)
+    white = fit(Decay(), cautious, start=START, noise_model="white")
+    for path in TRUTH:
+        errors = [each.parameters[path].standard_error for each in (result, white)]
+        assert errors[0] >= 0.95 * errors[1]
+
+
 def test_it_is_stored(correlated):
     record = json.loads(correlated.to_json())
     assert from_plain(Verdict, record["verdict"]) == correlated.verdict

@@ -1,5 +1,6 @@
 """Verdicts on residuals whose origin is known."""
 
+import dataclasses
 from collections import Counter
 
 import numpy as np
@@ -63,6 +64,23 @@ def test_noise_alone_is_seldom_accused(case):
     wrong = [judge(residuals(rng, **case), robust=False) for _ in range(300)]
     codes = Counter(reason.code for verdict in wrong for reason in verdict.reasons)
     assert sum(verdict.status != "adequate" for verdict in wrong) < 14, codes
+
+
+@pytest.mark.parametrize("factor", [1.3, 5.0, 25.0])
+def test_noise_that_is_stated_far_too_large_is_no_proof_of_a_model(factor):
+    rng = np.random.default_rng(1)
+    stated = ChannelNoise(factor * SIGMA)
+    series = [dataclasses.replace(each, stated=stated) for each in residuals(rng)]
+    found = judge(series, robust=False)
+    if factor < 2:  # a little too cautious
+        assert found.status == "adequate"
+        return
+    (reason,) = found.reasons
+    assert (found.status, reason.code) == ("doubtful", "too_small")
+    assert reason.size == pytest.approx(factor, rel=0.2)
+    assert "times smaller than the stated noise" in reason.sentence
+    one = [*residuals(rng)[1:], series[0]]
+    assert [reason.channels for reason in judge(one, robust=False).reasons] == [("link00_z",)]
 
 
 def wave(times, run, channel):

@@ -206,3 +206,21 @@ def test_far_guesses_of_the_size_lead_to_the_same():
         found = estimate(problem, {"x": Stated()}, correlated=True).noise["x"]
         assert found.is_white
         assert found.deviation == pytest.approx(0.01, rel=0.1)
+
+
+def test_a_chance_hit_among_many_channels_is_no_memory():
+    """By itself one channel in twenty looks correlated; of sixty together none should, mostly."""
+    times, rng = np.linspace(0, 10, 60), np.random.default_rng(3)
+    names = [f"c{number}" for number in range(60)]
+    cells = [of_run(times, rng.normal(size=60), smooth(times), key=name) for name in names]
+    alone = sum(
+        not estimate(
+            Restricted.of([each], {each.key: ChannelNoise(1.0)}), {each.key: Stated()},
+            correlated=True,
+        ).noise[each.key].is_white
+        for each in cells
+    )  # fmt: skip
+    assert alone > 0
+    problem = Restricted.of(cells, dict.fromkeys(names, ChannelNoise(1.0)))
+    found = estimate(problem, dict.fromkeys(names, Stated()), correlated=True)
+    assert sum(not each.is_white for each in found.noise.values()) == 0

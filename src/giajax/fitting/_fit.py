@@ -28,7 +28,7 @@ from ._records import ChannelFit, Correlation, Iteration, NoiseFit, OwnEstimate,
 from ._result import FitResult, PredictedRun, integration_of
 from ._statistics import Statistics, statistics
 from ._steps import CHANGED, FitJournal, FitState, Reason, begin, journal_writer, restored
-from ._uncertainty import verdict
+from ._uncertainty import trends, verdict
 
 _NOTABLE = 1.15  # residuals of this many times the noise are worth a word
 
@@ -179,7 +179,8 @@ def _noise(state: FitState, known: Statistics) -> NoiseFit:
         for path, places in zip(state.problem.paths, state.problem.positions, strict=True)
         if places[0] in known.widening
     }
-    return NoiseFit(state.setup.settings.noise_model, state.noise.estimated, widening)
+    model, estimated = state.setup.settings.noise_model, state.noise.estimated
+    return NoiseFit(model, estimated, widening, trends(state))
 
 
 def versions() -> dict[str, str]:

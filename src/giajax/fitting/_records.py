@@ -231,12 +231,14 @@ class NoiseFit:
         model: "correlated" where correlated noise was looked for, or "white".
         estimated: whether the size of any of it comes from the residuals.
         widening: standard error over that with white noise of the same size, by path; empty
-            where all noise is white.
+            where all noise is white. Where there are trends, it is at least 1.
+        trends: channels whose residuals are correlated over half of a record or more.
     """
 
     model: str
     estimated: bool
     widening: dict[str, float | None] = dataclasses.field(default_factory=dict)
+    trends: list[str] = dataclasses.field(default_factory=list)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -465,7 +465,32 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
     white = np.sqrt(np.diag(inverse_gram(triangle)))
     with np.errstate(divide="ignore", invalid="ignore"):
         widening = np.sqrt(np.diag(larger)) / white
+        if trends(state):
+            shrunk = np.maximum(1 / widening, 1.0)
+            larger, widening = larger * np.outer(shrunk, shrunk), widening * shrunk
     return NoiseStatistics(larger, small.degrees_of_freedom, sandwich, widening)
+
+
+# Of a record: noise with such a memory cannot be told from a model that drifts away from the data.
+_TREND = 0.5
+
+
+def trends(state: FitState) -> list[str]:
+    """Channels whose noise was found to be correlated over so much of a record that it is a trend.
+
+    It makes no error smaller: nothing shows that what is missing stays as it is.
+    """
+    found: dict[str, None] = {}
+    for run, values, stated in zip(
+        state.setup.runs, state.noise.values, state.noise.stated, strict=True
+    ):
+        if run.times is None:
+            continue
+        for name, noise in values.items():
+            known = stated[name].correlated is not None
+            if not (known or noise.is_white) and noise.time_s >= _TREND * np.ptp(run.times):
+                found[name] = None
+    return list(found)
 
 
 def prior_rows(

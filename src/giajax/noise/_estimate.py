@@ -53,8 +53,14 @@ def outlier_weights(
 
 
 # Twice the gain in log-likelihood that correlation must bring, for two more parameters: white noise
-# is taken for correlated in about one channel of twenty, and its intervals are wider then.
+# is taken for correlated in about one fit of twenty, and its intervals are wider then.
 _LEAST_GAIN = 5.0
+
+
+def _worth_it(channels: int) -> float:
+    """That gain where so many channels are asked: a chance hit among many is no memory."""
+    return float(_LEAST_GAIN + 2 * np.log(channels))
+
 
 # Twice the gain at the best of a few tries, below which no search from there ends above that.
 _PROMISING = 1.0
@@ -185,7 +191,7 @@ def best_correlated(
     done = minimize(
         with_slopes, [*at, 0.0], jac=True, method="L-BFGS-B", bounds=bounds, options=options
     )
-    if least - float(done.fun) < _LEAST_GAIN:
+    if least - float(done.fun) < _worth_it(len(problem.noise)):
         return white
     angle, time, scale = done.x.tolist()
     return Shape(angle, time).noise(size * float(np.exp(scale)))

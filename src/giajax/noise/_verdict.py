@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Literal, Self
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc, ndtr
+from scipy.special import chdtr, chdtrc, fdtrc, ndtr
 
 from ..runtime.arrays import Bool, Float
 from ..runtime.records import InfiniteWhereNull
@@ -98,8 +98,9 @@ class Reason:
     """One way in which residuals are not what the noise alone would leave.
 
     Attributes:
-        code: "noise", "correlation", "differences", "drift", "runs" or "prediction"; "suspect" of
-            what the fit held or left out, "prior" of what is far from what is usual,
+        code: "noise", "correlation", "differences", "drift", "runs" or "prediction"; "too_small" of
+            residuals far below the stated noise, "suspect" of what the fit held or left out,
+            "prior" of what is far from what is usual,
             "unexplained" where no suspect explains it, "end" of a fit that has no optimum, "cells"
             of too few.
         sentence: what is seen, and where.
@@ -189,8 +190,21 @@ _FEWEST_BLOCKS = 4  # blocks, at least, for a statement on them
 _FEWEST_VALUES = 32  # cells of a series, at least, for a statement on it alone
 
 
+_FAR_BELOW = 2.0  # times smaller than the stated noise: a little too cautious a statement may be
+
+
 def beyond_stated(series: Sequence[Series]) -> Reason | None:
-    """Residuals against the noise that is stated."""
+    """Residuals larger than the noise that is stated."""
+    return _against_stated(series, below=False)
+
+
+def below_stated(series: Sequence[Series]) -> Reason | None:
+    """Residuals far smaller than the noise that is stated: that, or a unit, is wrong."""
+    return _against_stated(series, below=True)
+
+
+def _against_stated(series: Sequence[Series], *, below: bool) -> Reason | None:
+    """One side of the noise that is stated; both have the chance of one test."""
     known = [(each, each.stated.deviation) for each in series if each.stated is not None]
     groups = alone_and_together([each for each, _ in known])
 
@@ -201,10 +215,19 @@ def beyond_stated(series: Sequence[Series]) -> Reason | None:
             degrees_of_freedom = sum(each.degrees_of_freedom for each, _ in chosen)
             size = float(np.sqrt(total / degrees_of_freedom))
             where = "" if names == groups[0] else f" in {', '.join(names)}"
-            sentence = f"the residuals are {size:.3g} times the stated noise{where}"
-            yield Reason("noise", sentence, float(chdtrc(degrees_of_freedom, total)), size, names)
+            if not below:
+                sentence = f"the residuals are {size:.3g} times the stated noise{where}"
+                p = float(chdtrc(degrees_of_freedom, total))
+                yield Reason("noise", sentence, p, size, names)
+            elif 0 < size < 1 / _FAR_BELOW:
+                sentence = (
+                    f"the residuals are {1 / size:.3g} times smaller than the stated noise{where}, "
+                    "which is wrong, or the unit of a column is"
+                )
+                p = float(chdtr(degrees_of_freedom, total))
+                yield Reason("too_small", sentence, p, 1 / size, names)
 
-    return largest(looked_at(), len(groups))
+    return largest(looked_at(), 2 * len(groups))
 
 
 def correlated(series: Sequence[Series]) -> Reason | None:
@@ -395,7 +418,8 @@ def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
 
     Returns:
         "adequate" where no test finds a reason against it; at most 2 % of adequate models whose
-        noise is white, or has the correlation that is stated, are called inadequate.
+        noise is white, or has the correlation that is stated, are called inadequate. "doubtful"
+        where residuals are far smaller than the stated noise.
     """
     if robust:
         series = [each.where(np.abs(each.residual) <= OUTLIER * each.adopted) for each in series]
@@ -404,6 +428,6 @@ def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
         return Verdict("not evaluated", (few,))
     series = [each.known_memory_removed() for each in series if len(each)]
     reasons = [reason for test in _TESTS if (reason := test(series)) is not None]
-    if not reasons:
-        return Verdict("adequate")
-    return Verdict.inadequate(reasons)
+    found = Verdict.inadequate(reasons) if reasons else Verdict("adequate")
+    small = below_stated(series)
+    return found if small is None else found.doubted(small)

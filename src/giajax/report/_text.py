@@ -135,6 +135,12 @@ def _noise(result: FitResult) -> list[str]:
     span = _range([channel.correlation_time_s for _, channel in correlated], 2)
     names, every = (len({name for name, _ in pairs}) for pairs in (correlated, channels))
     sentence = f"correlated over {span} s in {names} of {every} channels"
+    if trends := result.noise.trends:
+        sentence += (
+            f"; in {', '.join(trends[:4])}{', ...' * (len(trends) > 4)} over half of the record or "
+            "more: a trend that the model lacks, or noise stated too large, which makes no error "
+            "smaller"
+        )
     if factors := _range(list(result.noise.widening.values()), 2):
         sentence += (
             f"; the standard errors are {factors} times those of white noise of the same size"
