@@ -8,13 +8,14 @@ import numpy as np
 from scipy.special import erfc, stdtrit
 
 from ..models import AbstractModel, parameter_values
-from ..noise import PRIOR_LEVEL, Reason
+from ..noise import PRIOR_LEVEL, Reason, robust_deviation
 from ..recordings import Run, oddities
 from ..runtime.records import finite_or_none
 from ..runtime.text import format_estimate, one_of
 from ..schema import Declaration
 from ..schema.parameters import Parameter, declared
 from ._checks import Curvature
+from ._problem import predictions_by_run
 from ._records import Estimate, OwnEstimate
 from ._statistics import Statistics, combinations
 from ._steps import FitState
@@ -30,6 +31,7 @@ _MOST_PAIRS = 10  # many pairs are one cause: the worst ones show it
 _BENT = 0.3  # a third of a standard error's square, or of its symmetry
 _AGAINST = 3.0  # standard deviations of a prior that the data have moved a parameter by
 _MOSTLY = 0.5  # a prior that says more than this of a parameter
+_FAR_OFF = 5.0  # times the noise: of such residuals a prior is no cure
 _ONE_SIDED = 1.645  # normal quantile of a one-sided interval of 95 %
 
 # Correlation times without which an estimate of the correlation, and all errors, are uncertain.
@@ -69,14 +71,59 @@ def findings(
     And how many times the correlation time of its noise each record is long, by name.
     """
     return (
+        *_outliers(state),
         *_without_response(state, statistics),
         *_together(state, statistics),
         *_correlated(state, statistics),
-        *_at_bounds(state, statistics),
+        # Where the fit is at no optimum, neither says how far the data let a parameter go.
+        *(_at_bounds(state, statistics) if _is_optimum(state) else ()),
         *_priors(state, statistics),
-        *_bent(statistics, curvatures),
+        *(_bent(statistics, curvatures) if _is_optimum(state) else ()),
         *_short(correlation_times),
     )
+
+
+def _is_optimum(state: FitState) -> bool:
+    return state.ending is not None and state.ending[0] == "converged"
+
+
+_OUT = 12.0  # robust deviations beyond which a residual is none of the noise
+_OUT_OF_NOISE = 3.0  # and deviations of the noise
+_MOST_OUT = 0.1  # of the cells: more of them are what the model misses
+_FEW_CELLS = 20
+
+
+def _outliers(state: FitState) -> Iterator[Finding]:
+    """Cells that a fit whose loss lets none stand has not described, by channel and row."""
+    if not state.setup.loss.is_linear or not state.evaluated:
+        return
+    runs = state.setup.runs
+    predictions = predictions_by_run(state.problem, state.inner.aux, runs)
+    for number, (run, predicted) in enumerate(zip(runs, predictions, strict=True)):
+        said = []
+        for name, recorded in run.observations.items():
+            rest = np.abs(predicted[name] - recorded)
+            known, noise = rest[~np.isnan(rest)], state.noise.values[number][name].deviation
+            if len(known) < _FEW_CELLS:
+                continue
+            # Of noise that the residuals gave, outliers have their part.
+            limit = max(_OUT * robust_deviation(known), _OUT_OF_NOISE * noise)
+            out = np.flatnonzero(rest > limit)
+            # What is missing in a part of the motion is off in rows that follow each other.
+            scattered = np.count_nonzero(np.diff(out) == 1) <= len(out) / 2
+            if 0 < len(out) <= _MOST_OUT * len(known) and scattered:
+                rows = ", ".join(run.naming.at(row).rpartition(" ")[2] for row in out[:5])
+                more = f" and {len(out) - 5} more" if len(out) > 5 else ""
+                said.append(f"{name} in {run.naming.row} {rows}{more}")
+        if said:
+            yield Finding(
+                "outliers",
+                (),
+                f"cells of {run.name} are more than {_OUT:g} times as far off as most: "
+                f"{'; '.join(said[:5])}{'; ...' * (len(said) > 5)}",
+                "empty them, if the recording is wrong there, or fit with --loss student_t, which "
+                "tames outliers",
+            )
 
 
 def odd_recordings(runs: Iterable[Run]) -> tuple[Finding, ...]:
@@ -97,7 +144,10 @@ def _without_response(state: FitState, statistics: Statistics) -> Iterator[Findi
             "no_response",
             names,
             f"no channel responds to {', '.join(names)}",
-            "leave it held, give it a prior, or record a motion that it acts on",
+            "leave it held, give it a prior, or record a motion that it acts on"
+            if state.residual_scale() < _FAR_OFF
+            else "ask first why the model does not describe the data: see what giajax check says "
+            "of the run",
         )
 
 
@@ -349,6 +399,8 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
             return f"not determined alone: only a combination with {others} is"
     if error is None:
         return "not determined: no channel responds to it where it ended"
+    if index in statistics.bounds and not _is_optimum(state):
+        return f"at its {statistics.bounds[index]} bound where the fit ended, at no optimum"
     if index in statistics.bounds:
         return (
             f"at its {statistics.bounds[index]} bound: the best value is the bound itself, and "

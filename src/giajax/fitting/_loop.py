@@ -11,7 +11,7 @@ import numpy as np
 from ..runtime.arrays import on_device
 from ..runtime.text import InputError, time_in_words
 from ._checks import can_improve, with_finer_tolerance, with_suitable_tolerance
-from ._linearise import minimised
+from ._linearise import BlockJacobian, minimised
 from ._records import Iteration
 from ._steps import FitState, Reason, move, reweight, step, trial
 from ._uncertainty import reestimate, responds
@@ -61,6 +61,10 @@ _NEAR, _LINEAR = 0.1, 1.0
 
 _REFUSED = 3  # refused steps in a row that are no accident there
 
+# Residuals of so many times the noise are of a model that does not describe the data: neither more
+# iterations nor a prior change that.
+_FAR = 5.0
+
 
 def stopped_by(state: FitState) -> tuple[Reason, str] | None:
     """What keeps a fit from going on after a trial step: a word as of `FitResult.reason`; why."""
@@ -92,9 +96,10 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
         if gain < little and gain < state.predicted_decrease():
             if not bool(state.inner.finite):
                 return _stuck(state)
+            advice = "give that a prior, hold it or start elsewhere"
             return "crawl", (
                 f"the last {_STEPS} iterations lowered the cost by {gain / costs[-1]:.1g} of it, "
-                f"mostly along {_direction(state)}: give that a prior, hold it or start elsewhere"
+                f"mostly along {_direction(state)}{_cannot_describe(state) or f': {advice}'}"
             )
     return None
 
@@ -145,6 +150,19 @@ def _stuck(state: FitState) -> tuple[Reason, str]:
     return "rough", (
         "no step lowers the cost any further, and the optimum is not reached: give a tighter "
         "tolerance if the model has one, start elsewhere or free fewer parameters"
+    )
+
+
+def _cannot_describe(state: FitState) -> str:
+    """What to say of residuals many times the noise, which the last steps did not halve."""
+    scale, steps = state.residual_scale(), state.history[state.round_began :]
+    gained = len(steps) <= _LAST or steps[-1 - _LAST].cost > 2 * steps[-1].cost
+    if gained or not scale > _FAR:
+        return ""
+    return (
+        f", and the residuals are {scale:.2g} times the noise: the model does not describe the "
+        "data; see what giajax check says of the run (units, signs, labels, lost cells, glitches), "
+        "and what giajax suspects says of the result"
     )
 
 
@@ -246,9 +264,9 @@ def _limit(
     if not state.evaluated or state.done:
         return None
     if state.trials >= max_iterations:
+        advice = ": start nearer, free fewer parameters or allow more iterations"
         return (
-            f"no optimum after {state.trials} iterations: start nearer, free fewer "
-            "parameters or allow more iterations",
+            f"no optimum after {state.trials} iterations{_cannot_describe(state) or advice}",
             "iterations",
         )
     if budget is not None and budget.left() < float(np.median(state.step_seconds[1:] or [0.0])):
@@ -276,7 +294,11 @@ def _at_start(state: FitState) -> FitState:
         return dataclasses.replace(state, done=False, converged=False).recorded(accepted=True)
     state = state.recorded(accepted=True)
     return state.ended(
-        "not_converged", "no channel responds to any of the free parameters", "no_response"
+        "not_converged",
+        "no channel responds to any of the free parameters: see whether the start moves the model "
+        "([initial], commands and their joints), and whether the recorded channels are those that "
+        "move",
+        "no_response",
     )
 
 
@@ -344,6 +366,8 @@ def _next_round(state: FitState) -> FitState:
 
     The last word is always an optimum with the noise that it was fitted with.
     """
+    if (woken := _woken(state)) is not None:
+        return woken
     if not state.rounds_left:
         return _settled(state)
     noise = reestimate(state)
@@ -352,6 +376,22 @@ def _next_round(state: FitState) -> FitState:
     if settled:
         return _settled(state)
     return step(reweight(state, noise)).next_round()
+
+
+def _woken(state: FitState) -> FitState | None:
+    """With what did not respond at the start, and does at this optimum, free; None without any."""
+    active = np.asarray(state.active)
+    if np.all(active):
+        return None
+    slope = np.maximum(state.problem.bijector.slope(np.asarray(state.coordinate)), 1e-300)
+    whole = BlockJacobian.of(state.problem, state.inner.jacobian).scaled(1 / slope)
+    moves = active | responds(whole.norms(), state.sizes)
+    if np.array_equal(moves, active):
+        return None
+    state = dataclasses.replace(
+        state, active=on_device(moves), round_began=len(state.history), converged=False
+    )
+    return dataclasses.replace(step(move(state, state.coordinate)), done=False, converged=False)
 
 
 def _settled(state: FitState) -> FitState:
