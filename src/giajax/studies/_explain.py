@@ -349,8 +349,7 @@ def explain(
     tries = int(kept.lines[0].get("tries", TRIES))
     max_steps = int(kept.lines[0].get("max_steps", MOST))
     climb = Climb(fitted, apart, kept)
-    told = _Told(climb, kept.say, max_steps)
-    climb.progress = told.step
+    climb.progress = _Told(climb, kept.say, max_steps).step
     outliers, ended = 0, "steps"
     try:
         if result.status == "interrupted":
@@ -507,12 +506,9 @@ def _preferred(made: Sequence[Tried]) -> Tried:
     best, _, _ = of_best = best_of(made)
     assert best.suspect is not None
     name = capabilities.rather(best.result.model).get(best.suspect.path.partition("[")[0])
-    for each in made:
-        one = each[0]
-        if one.suspect is not None and one.suspect.path == name:
-            nearly = one.step(best.noise).bic < best.step(best.noise).bic + NEARNESS
-            return each if nearly else of_best
-    return of_best
+    limit = best.step(best.noise).bic + NEARNESS
+    rather = [each for each in made if each[0].suspect is not None and each[0].suspect.path == name]
+    return next((each for each in rather if each[0].step(best.noise).bic < limit), of_best)
 
 
 def _final(
@@ -632,11 +628,9 @@ def _record(
     result: FitResult, climb: Climb, final: FitResult, ended: Any, outliers: int
 ) -> Explanation:
     noise = climb.last.noise
-    asked = result.asked
 
     def row(step: Step, taken: bool) -> ExplainedStep:
         suspect = step.suspect
-        known = step.result.parameters
         return ExplainedStep(
             change=step.change,
             kind="start" if suspect is None else suspect.kind,
@@ -648,29 +642,23 @@ def _record(
             bic=step.bic,
             held_out=step.held_out,
             estimates={
-                path: (float(known[path].value), known[path].standard_error)
-                for path in asked
-                if path in known and isinstance(known[path].value, float | int)
+                path: (float(one.value), one.standard_error)
+                for path, one in step.result.free.items()
+                if path in result.asked
             },
         )
 
     steps = [row(step, True) for step in climb.steps()]
     tried = [row(fit.step(noise), False) for fit in climb.passed]
     near = [i for i, one in enumerate(tried) if one.bic - steps[-1].bic < NEARNESS]
+    models = [steps[-1], *(tried[i] for i in near)]
     parameters = []
-    for path in asked:
-        one = final.parameters.get(path)
-        if one is None or not isinstance(one.value, float | int):
-            continue
-        last = steps[-1].estimates.get(path, (float(one.value), None))[0]
-        others = [
-            (tried[i].estimates[path][0] - last, tried[i].bic - steps[-1].bic)
-            for i in near
-            if path in tried[i].estimates
-        ]
-        weights = np.exp(-np.array([0.0, *(max(by, 0.0) for _, by in others)]) / 2)
-        apart = np.array([0.0, *(shift for shift, _ in others)])
+    for path, (last, _) in steps[-1].estimates.items():
+        having = [each for each in models if path in each.estimates]
+        weights = np.exp(-np.maximum([each.bic - steps[-1].bic for each in having], 0.0) / 2)
+        apart = np.array([each.estimates[path][0] for each in having]) - last
         selection = float(np.sqrt(np.sum(weights * apart**2) / np.sum(weights)))
+        one = final.parameters[path]
         error = one.standard_error
         parameters.append(
             ExplainedParameter(
