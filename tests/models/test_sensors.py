@@ -28,6 +28,8 @@ EACH = {
     "camera.scale": 1.1,
     "camera.delay": 0.13,
     "camera.clock_rate": 0.03,
+    "camera.lens_k1": -0.1,
+    "camera.lens_k2": 0.05,
     "marker.along": 0.05,
     "marker.left": [0.1, 0.0, -0.1],
     "marker.up": 0.15,
@@ -100,6 +102,18 @@ def test_scale_acts_on_what_is_seen_from_the_origin(plain):
     np.testing.assert_allclose(seen["tip_z"], -2 * (plain["tip_z"] + 0.3), atol=1e-12)
     # The same but for rounding: with a camera it is another program.
     np.testing.assert_allclose(seen["joint01_angle"], plain["joint01_angle"], rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_lens_draws_everything_to_the_middle_of_the_straight_arm(plain):
+    lens = with_all_sensors(**{"camera.lens_k1": -0.1, "camera.lens_k2": 0.02})
+    seen = points(giajax.predict(lens, run_of(), EVERYTHING))
+    middle = np.array([LINKS * 0.99 / 2, 0.0, 0.0])
+    away = points(plain) - middle
+    square = np.sum(away**2, axis=-1, keepdims=True) / middle[0] ** 2
+    expected = middle + away * (1 - 0.1 * square + 0.02 * square**2)
+    np.testing.assert_allclose(seen, expected, atol=1e-12)
+    assert np.max(np.abs(expected - points(plain))) > 0.05
 
 
 def test_markers_move_with_their_link():
@@ -345,6 +359,8 @@ STATED = {
     "camera_scale": 1.02,
     "camera_delay_s": 0.05,
     "camera_clock_rate": 0.05,
+    "camera_lens_k1": -0.05,
+    "camera_lens_k2": 0.05,
     "marker_along_m": 0.1,
     "marker_left_m": [0.1, 0.2, 0.3],
     "marker_up_m": 0.15,

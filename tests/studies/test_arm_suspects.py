@@ -28,8 +28,38 @@ def arm(**options):
 
 def recorded(truth, seed=0):
     model = replace(arm(), {**small_arm.TRUTH, **truth})
-    noise = {"position": small_arm.NOISE}
-    return giajax.synthesise(model, TIMES, COMMANDS, CHANNELS, noise=noise, seed=seed)
+    stated = {"noise": {"position": small_arm.NOISE}, "constants": arm()}
+    return giajax.synthesise(model, TIMES, COMMANDS, CHANNELS, seed=seed, **stated)
+
+
+def asked(run):
+    """What a fit of a plain arm asks for, from a start away from the truth."""
+    free = list(small_arm.START)
+    result = giajax.fit(arm(), run, free=free, start=small_arm.START, check=False)
+    return giajax.suspects(result, run)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "truth",
+    [
+        {"camera.lens_k1": -0.05},
+    ],
+    ids=lambda truth: next(iter(truth)),
+)
+def test_what_a_recording_has_more_comes_first(truth):
+    found = asked(recorded(truth))
+    first, (path, value) = found.promising[0], next(iter(truth.items()))
+    assert path in (first.path, *first.alike, *first.together)
+    row = found.of(path)
+    assert row.p_value < 1e-6
+    assert row.estimate == pytest.approx(value, abs=max(4 * row.estimate_error, 0.3 * abs(value)))
+
+
+@pytest.mark.slow
+def test_a_right_arm_is_not_accused():
+    named = [row.path for seed in range(3) for row in asked(recorded({}, seed)).significant]
+    assert len(named) <= 1
 
 
 @pytest.mark.slow

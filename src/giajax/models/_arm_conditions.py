@@ -94,9 +94,15 @@ _DRAG_AREA = ("air.density", "links.length", "links.diameter")  # C_D is referre
 _COMMANDED = (
     "counted from the clock of the commands, so that a lag of the drives would look the same"
 )
+_LENS = (
+    "about the middle of the straight arm, by half of its length, because positions do not say how "
+    "far away the camera is"
+)
 _SENSORS: dict[str, str] = {
     "camera.delay": _COMMANDED,
     "camera.clock_rate": "counted against the clock of the commands",
+    "camera.lens_k1": _LENS,
+    "camera.lens_k2": _LENS,
     "encoder.delay": _COMMANDED,
     "encoder.clock_rate": "counted against the clock of the commands",
     "encoder.offset": "counted from the commanded angle 0, at which the joints are straight",

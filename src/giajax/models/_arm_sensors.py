@@ -46,6 +46,8 @@ class Camera(eqx.Module):
     scale: Scalar | None = parameter(CAMERA.scale)
     delay: Scalar | None = parameter(CAMERA.delay)
     clock_rate: Scalar | None = parameter(CAMERA.clock_rate)
+    lens_k1: Scalar | None = parameter(CAMERA.lens_k1)
+    lens_k2: Scalar | None = parameter(CAMERA.lens_k2)
     # By name, which is part of the paths: `camera.side.position`.
     pinholes: dict[str, Pinhole] = inline(default_factory=dict)
 
@@ -59,6 +61,21 @@ class Camera(eqx.Module):
             turned = rotate(jnp.broadcast_to(back[:, None], (4, rows.shape[1])), rows)
             positions = turned.T.reshape(positions.shape)
         return positions if self.scale is None else self.scale * positions
+
+    def through_lens(self, positions: Float[Array, "*point 3"], arm: Arm) -> Array:
+        """Positions (m) of the base frame as a lens shows them that points at the middle of an arm.
+
+        How far away that is, and from which side, positions do not say: the lens draws all three
+        coordinates to the middle, and its unit of distance is half of the straight arm.
+        """
+        if self.lens_k1 is None and self.lens_k2 is None:
+            return positions
+        k1, k2 = (0.0 if k is None else k for k in (self.lens_k1, self.lens_k2))
+        middle = Marker().at_tip(arm, jnp.zeros_like(arm.links.length)) / 2
+        middle = middle.reshape((1,) * (positions.ndim - 1) + (3,))
+        away = positions - middle
+        squared = jnp.sum(away**2, axis=-1, keepdims=True) / jnp.sum(middle**2)
+        return middle + away * (1 + squared * (k1 + squared * k2))
 
 
 class Landmark(eqx.Module):
@@ -328,7 +345,11 @@ class Sensors(eqx.Module):
         """What makes the columns of these rows of a motion, and by whose clock; not of pixels."""
 
         def seen(points: Callable[[Arm, Array], Array]) -> Callable[[Trajectory], Array]:
-            return lambda of: self.camera.sees(jax.vmap(lambda at: points(of.arm, at))(of.angles))
+            def shown(of: Trajectory) -> Array:
+                true = jax.vmap(lambda at: points(of.arm, at))(of.angles)
+                return self.camera.sees(self.camera.through_lens(true, of.arm))
+
+            return shown
 
         angles, rates = self.encoder.shows, self.encoder.shows_rates
         known: dict[str, tuple[Callable[[Trajectory], Array], Any]] = {

@@ -337,6 +337,16 @@ class _Camera(Group):
     )
     delay = delay("camera_delay_s", "how long before its time stamp a position or picture was true")
     clock_rate = clock_rate("camera_clock_rate")
+    lens_k1 = left_out(
+        "",
+        "by which share a lens shows farther from the middle of the straight arm what is half of "
+        "its length away, growing with the square of that distance",
+        lower=-1,
+        upper=1,
+    ).keyed("camera_lens_k1", closed=True, example=-0.05)
+    lens_k2 = left_out(
+        "", "as k1, growing with the fourth power of that distance", lower=-1, upper=1
+    ).keyed("camera_lens_k2", closed=True, example=0.01)
 
 
 class _Marker(Group):
