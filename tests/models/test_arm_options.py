@@ -16,6 +16,7 @@ from giajax.models import (
     parameter_values,
 )
 from giajax.recordings import Definition
+from giajax.simulation import ramps, simulate
 from peers.arms import full_arm
 
 TIMES = np.linspace(0.0, 3.0, 31)
@@ -183,6 +184,21 @@ def test_a_stiffness_that_drifts_and_one_for_each_joint():
     np.testing.assert_allclose(joints.stiffness, own * np.array([1.0, 2.0]))
     np.testing.assert_allclose(joints.at_time(4.0).stiffness, own * np.array([0.8, 1.6]))
     np.testing.assert_allclose(joints.at_time(40.0).stiffness, 0)
+
+
+def test_drives_that_saturate_are_those_of_commands_that_do():
+    """Between rows a command is linear, and what saturates is not: by rows as dense as that."""
+    arm, times = giajax.takeichi_20m(2), np.linspace(0.0, 1.5, 1501)
+    commands = np.stack([np.clip(times, 0, 0.9), -0.5 * np.clip(times, 0.2, 0.7)], axis=1)
+    size = np.array([1.2, 0.4])
+    shown = commands / np.sqrt(1 + size * commands**2)
+    weak = giajax.replace(arm, {"joints.drive_saturation": size})
+    exact = {"rtol": 1e-9, "atol": 1e-9}
+    found = simulate(weak, ramps(times, commands), times[::100], **exact)
+    other = simulate(arm, ramps(times, shown, tolerance=1e-9), times[::100], **exact)
+    np.testing.assert_allclose(found.angles, other.angles, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(found.followed, shown[::100], rtol=0, atol=1e-12)
+    assert np.max(np.abs(commands - shown)) > 0.1
 
 
 def test_drives_with_a_gain_are_those_of_smaller_commands():

@@ -24,7 +24,7 @@ TIGHT = 1e-13
 def uneven():
     """Nothing alike, in a wind that grows, so that all of it moves at once."""
     wind = ramps([0.0, 1.0], [[0.2, -0.1, 0.3], [0.5, 0.2, 0.1]])
-    drives = {"joints.drive_lag": 0.3, "joints.drive_gain": 0.9}
+    drives = {"joints.drive_lag": 0.3, "joints.drive_gain": 0.9, "joints.drive_saturation": 0.2}
     drives |= {"joints.stiffness_factor": 1.1, "joints.stiffness_drift": 0.2}
     return replace(full_arm(LINKS), drives), wind
 
@@ -43,6 +43,7 @@ def floating():
         # A little below 0 the motion is as smooth as above.
         "joints.drive_lag": 0.0,
         "joints.drive_gain": 1.0,
+        "joints.drive_saturation": 0.0,
         "joints.stiffness_factor": 1.0,
         "joints.stiffness_drift": 0.0,
     }

@@ -44,6 +44,7 @@ def asked(run):
     "truth",
     [
         {"camera.lens_k1": -0.05},
+        {"joints.drive_saturation": 0.3},
     ],
     ids=lambda truth: next(iter(truth)),
 )

@@ -203,6 +203,14 @@ class _Joints(Group):
         optional=True,
         **EACH_JOINT,
     )
+    drive_saturation = positive(
+        0.1,
+        "1/rad^2",
+        "how drives saturate: for an angle u they reach u / sqrt(1 + saturation u^2)",
+        upper=100,
+        optional=True,
+        **EACH_JOINT,
+    )
 
 
 class _Memory(Group):

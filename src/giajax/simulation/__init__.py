@@ -30,6 +30,7 @@ from ._return_mapping import (
 from ._signal import (
     LaggedSignal as LaggedSignal,
     Pressures as Pressures,
+    SaturatedSignal as SaturatedSignal,
     Signal as Signal,
     check_muscles as check_muscles,
     constant as constant,

@@ -23,7 +23,7 @@ from ..mechanics.arm import (
     touch,
 )
 from ..runtime.arrays import Array, Float, Scalar
-from ._signal import LaggedSignal, Pressures, Signal
+from ._signal import Followed, Pressures, Signal
 
 
 class Rates(NamedTuple):
@@ -101,7 +101,7 @@ class Inputs(eqx.Module):
     """
 
     arm: Arm
-    command: Signal | LaggedSignal
+    command: Followed
     wind: Signal | None
     torque: Signal | None
     end: Scalar

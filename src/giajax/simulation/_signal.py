@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..mechanics.arm import Arm, Pneumatics
+from ..mechanics.arm import Arm, Joints, Pneumatics
 from ..mechanics.joint import (
     LARGEST_ANGLE,
     NEEDS_PRESSURE,
@@ -189,13 +189,37 @@ class LaggedSignal(eqx.Module):
         return self.signal(time) - jnp.where(time >= times[0], behind, 0)
 
 
-def followed(signal: Signal, gain: Array | None, lag: Array | None) -> Signal | LaggedSignal:
-    """What drives make of a command: a gain and a lag (s), one or one for each; None: neither."""
-    if gain is not None:
+class SaturatedSignal(eqx.Module):
+    """What drives reach of a signal u that they follow: u / sqrt(1 + saturation u^2).
+
+    Arguments:
+        signal: u, rad.
+        saturation: one over the square of the angle that is never passed, 1/rad^2, one or one for
+            each value.
+    """
+
+    signal: Signal | LaggedSignal
+    saturation: Float[Array, ""] | Float[Array, " width"]
+
+    def __call__(self, time: Scalar) -> Float[Array, " width"]:
+        """Value at a time (s)."""
+        angle = self.signal(time)
+        return angle / jnp.sqrt(1 + self.saturation * angle**2)
+
+
+Followed = Signal | LaggedSignal | SaturatedSignal
+"""What the springs of an arm pull towards, over time."""
+
+
+def followed(signal: Signal, joints: Joints) -> Followed:
+    """What the drives of joints make of a command: it has their gain, then lags, then saturates."""
+    if (gain := joints.drive_gain) is not None:
         signal = dataclasses.replace(
             signal, values=signal.values * gain, slopes=signal.slopes * gain
         )
-    return lagged(signal, lag)
+    reached = lagged(signal, joints.drive_lag)
+    saturation = joints.drive_saturation
+    return reached if saturation is None else SaturatedSignal(reached, saturation)
 
 
 def lagged(signal: Signal, lag: Array | None) -> Signal | LaggedSignal:

@@ -201,7 +201,7 @@ def integrate(
         rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
     method: Any = solver_named(solver, reverse=derivatives == "reverse")
     laws = arm.further_laws
-    pulled = followed(command, arm.joints.drive_gain, arm.joints.drive_lag)
+    pulled = followed(command, arm.joints)
     moved = Inputs(arm, pulled, wind, torque, eqxi.prevbefore(end), pressure, first=begin)
     fastest = mobility = None
     if steps_for == "derivatives":

@@ -95,7 +95,7 @@ class Stepper(eqx.Module):
             raise InputError(f"the interval is {self.interval} s: give one positive number")
         if self.steps < 1:
             raise InputError(f"an interval has {self.steps} steps: give at least one")
-        for name in ("drive_gain", "drive_lag"):
+        for name in ("drive_gain", "drive_lag", "drive_saturation"):
             if getattr(self.arm.joints, name) is not None:
                 raise InputError(
                     f"the arm has joints.{name}, which a motion that is decided on the way does "

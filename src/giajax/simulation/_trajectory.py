@@ -106,9 +106,8 @@ class Trajectory(eqx.Module):
 
     @property
     def followed(self) -> Float[Array, "sample joint"]:
-        """Angles that springs pull towards at the samples, rad: commands by gain and lag."""
-        joints = self.arm.joints
-        return jax.vmap(followed(self.command, joints.drive_gain, joints.drive_lag))(self.times)
+        """Angles that springs pull towards at the samples, rad: commands as drives follow them."""
+        return jax.vmap(followed(self.command, self.arm.joints))(self.times)
 
     @property
     def accelerations(self) -> Float[Array, "sample joint"]:

@@ -189,6 +189,7 @@ class Joints(eqx.Module):
     armature: Float[Array, ""] | PerJoint | None = parameter(JOINTS.armature)
     drive_lag: Float[Array, ""] | PerJoint | None = parameter(JOINTS.drive_lag)
     drive_gain: Float[Array, ""] | PerJoint | None = parameter(JOINTS.drive_gain)
+    drive_saturation: Float[Array, ""] | PerJoint | None = parameter(JOINTS.drive_saturation)
     stiffness_factor: Float[Array, ""] | PerJoint | None = parameter(JOINTS.stiffness_factor)
     stiffness_drift: Scalar | None = parameter(JOINTS.stiffness_drift)
     hysteresis: JointHysteresis = inline(default_factory=JointHysteresis)
