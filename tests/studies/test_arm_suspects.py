@@ -26,10 +26,10 @@ def arm(**options):
     return ArmModel(giajax.takeichi_20m(small_arm.LINKS, **options))
 
 
-def recorded(truth, seed=0):
+def recorded(truth, seed=0, commands=COMMANDS):
     model = replace(arm(), {**small_arm.TRUTH, **truth})
     stated = {"noise": {"position": small_arm.NOISE}, "constants": arm()}
-    return giajax.synthesise(model, TIMES, COMMANDS, CHANNELS, seed=seed, **stated)
+    return giajax.synthesise(model, TIMES, commands, CHANNELS, seed=seed, **stated)
 
 
 def asked(run):
@@ -55,6 +55,25 @@ def test_what_a_recording_has_more_comes_first(truth):
     row = found.of(path)
     assert row.p_value < 1e-6
     assert row.estimate == pytest.approx(value, abs=max(4 * row.estimate_error, 0.3 * abs(value)))
+
+
+@pytest.mark.slow
+def test_a_drive_that_does_not_move_is_named():
+    """Of four joints with commands; a fit frees its gain alone, and finds none."""
+    late = {"joint03_command": 0.5 * np.clip((TIMES - 1) / 0.5, 0, 1)}
+    late["joint04_command"] = 0.4 * np.clip((TIMES - 2) / 0.5, 0, 1)
+    run = recorded({"joints.drive_gain": [1.0, 1.0, 0.0, 1.0]}, commands=COMMANDS | late)
+    free = list(small_arm.START)
+    result = giajax.fit(arm(), run, free=free, start=small_arm.START, check=False)
+    assert result.verdict.status == "inadequate"
+    found = giajax.suspects(result, run)
+    first = found.promising[0]
+    assert first.path == "joints.drive_gain[2]"
+    assert first.kind == "parameter"
+    assert first.estimate == pytest.approx(0, abs=0.2)
+    freed = giajax.fit(arm(), run, free=[*free, first.path], start=small_arm.START, check=False)
+    assert freed.verdict.status == "adequate"
+    assert freed.parameters[first.path].value < 0.05
 
 
 @pytest.mark.slow

@@ -114,12 +114,16 @@ def in_full(model: AbstractModel, parameter: Parameter) -> AbstractModel:
 
 
 def with_scattering(model: AbstractModel, paths: Iterable[str]) -> AbstractModel:
-    """The model with a value of its own for each joint of what is named and may scatter."""
-    named = {path.partition("[")[0] for path in paths}
-    for path in capabilities.scattering(model):
-        if path in named:
-            model = switched_on(model, [path])
-            model = in_full(model, declared(model)[path])
+    """The model with a value of its own for each joint of what is named and may scatter.
+
+    Likewise of what may be wrong of one element, where an element is named.
+    """
+    parts = [path.partition("[") for path in paths]
+    named = {name for name, _, _ in parts}.intersection(capabilities.scattering(model))
+    named |= {name for name, _, of in parts if of}.intersection(capabilities.one_by_one(model))
+    for path in sorted(named):
+        model = switched_on(model, [path])
+        model = in_full(model, declared(model)[path])
     return model
 
 

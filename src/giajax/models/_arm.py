@@ -419,6 +419,10 @@ class ArmModel(AbstractModel):
         """Joints of one kind may be of different stiffness."""
         return () if self.arm.pneumatics is not None else (JOINTS.stiffness_factor.path,)
 
+    def one_by_one(self) -> tuple[str, ...]:
+        """A drive may not move."""
+        return (JOINTS.drive_gain.path,)
+
     def rather(self) -> dict[str, str]:
         """Joints of balloons have a memory, and friction by rate is what imitates it."""
         memory = JOINT_MEMORY.strength.path

@@ -192,6 +192,10 @@ class SeveralModels(AbstractModel):
         """What may scatter in each of them."""
         return tuple(p for part in self.parts for p in capabilities.scattering(part))
 
+    def one_by_one(self) -> tuple[str, ...]:
+        """What may be wrong of one element in each of them."""
+        return tuple(p for part in self.parts for p in capabilities.one_by_one(part))
+
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         """Those of the model of the run's kind."""
         return capabilities.free_inputs(self.part(run.model), run)

@@ -117,6 +117,14 @@ def scattering(model: AbstractModel) -> tuple[str, ...]:
     return _asked(model, "scattering", ())
 
 
+def one_by_one(model: AbstractModel) -> tuple[str, ...]:
+    """Parameters of which one element may be wrong: `giajax.suspects` tests each, and all together.
+
+    As one drive does not move, or all reach too little.
+    """
+    return _asked(model, "one_by_one", ())
+
+
 def unseen(
     model: AbstractModel, inputs: Any, channels: tuple[str, ...]
 ) -> dict[str, npt.NDArray[np.bool_]]:

@@ -213,7 +213,8 @@ Followed = Signal | LaggedSignal | SaturatedSignal
 
 def followed(signal: Signal, joints: Joints) -> Followed:
     """What the drives of joints make of a command: it has their gain, then lags, then saturates."""
-    if (gain := joints.drive_gain) is not None:
+    if joints.drive_gain is not None:
+        gain = jnp.broadcast_to(joints.drive_gain, (signal.width,))[None]
         signal = dataclasses.replace(
             signal, values=signal.values * gain, slopes=signal.slopes * gain
         )

@@ -123,6 +123,8 @@ def inquiry(
     each: Sequence[str] = (),
     ties: Mapping[str, str] | None = None,
     without: Mapping[str, str] | None = None,
+    *,
+    beside: Sequence[str] = (),
 ) -> Inquiry:
     """The fitted model with everything on, and the directions of its parameters.
 
@@ -133,6 +135,7 @@ def inquiry(
             all in proportion. An InputError where one is no array of this model.
         ties: expressions by the paths of what follows from them.
         without: paths of what is not to be switched on, and why.
+        beside: paths of arrays whose elements are asked for one by one, beside all in proportion.
     """
     impossible = dict(without or {})
     for path, absent in left_out(model).items():
@@ -149,6 +152,7 @@ def inquiry(
                 f"'{path}' has no elements to be asked for one by one: name a parameter that has "
                 "one value per link, joint or axis"
             )
+    for path in {*each, *beside}.intersection(known):
         # One number for all joints becomes one for each.
         model = in_full(model, known[path])
     known = declared(model)
@@ -160,7 +164,7 @@ def inquiry(
         candidates=tuple(
             candidate
             for parameter in known.values()
-            for candidate in _candidates(model, parameter, following.union(free), each)
+            for candidate in _candidates(model, parameter, following.union(free), each, beside)
         ),
         impossible=impossible,
         following=following,
@@ -180,7 +184,11 @@ def _free_direction(model: AbstractModel, known: dict[str, Parameter], path: str
 
 
 def _candidates(
-    model: AbstractModel, parameter: Parameter, moved: frozenset[str], each: Sequence[str]
+    model: AbstractModel,
+    parameter: Parameter,
+    moved: frozenset[str],
+    each: Sequence[str],
+    beside: Sequence[str],
 ) -> list[Candidate]:
     """The directions of one parameter that is held, or of what is held of it."""
     path, about = parameter.path, parameter.declaration
@@ -198,16 +206,18 @@ def _candidates(
 
     if value.ndim == 0:
         return [made(path, float(value), np.asarray(1.0))]
-    if about.shape or path in each or (np.sum(held) == 1 and value.size > 1):
-        units = np.eye(value.size)
-        return [
-            made(f"{path}[{i}]", float(value[i]), units[i], group=path)
-            for i in np.flatnonzero(held)
-        ]
+    whole = bool(about.shape) or path in each or (np.sum(held) == 1 and value.size > 1)
+    single = [
+        made(f"{path}[{i}]", float(value[i]), np.eye(value.size)[i], group=path if whole else "")
+        for i in np.flatnonzero(held)
+        if whole or path in beside
+    ]
+    if whole:
+        return single
     numbers = value[held]
     if np.all(numbers == numbers[0]):
-        return [made(path, float(numbers[0]), held.astype(float))]
+        return [made(path, float(numbers[0]), held.astype(float)), *single]
     along = Direction(path, np.where(held, value, 0.0))
     # Values that have a sign keep it.
     lower = 0.0 if about.lower >= 0 else -np.inf
-    return [Candidate(path, "factor", "", 1.0, lower, np.inf, 1.0, along)]
+    return [Candidate(path, "factor", "", 1.0, lower, np.inf, 1.0, along), *single]

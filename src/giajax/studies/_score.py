@@ -516,6 +516,9 @@ def _neighbours(noise: np.ndarray, measured: np.ndarray) -> float:
 
 def alike(rest: Projected, one: Sequence[int], other: Sequence[int]) -> float:
     """Cosine of the largest angle from the span of some columns to that of others."""
+    if len(one) == len(other) == 1:
+        a, b = rest.columns[:, one[0]], rest.columns[:, other[0]]
+        return float(abs(a @ b) / (np.linalg.norm(a) * np.linalg.norm(b)))
     a, b = basis_of(rest.columns[:, list(one)]), basis_of(rest.columns[:, list(other)])
     return float(np.min(np.linalg.svd(a.T @ b, compute_uv=False), initial=1.0))
 

@@ -13,7 +13,7 @@ from ..models import AbstractModel, capabilities
 from ..recordings import PriorEntry, Run
 from ..runtime.aliases import warn_of_name
 from ..runtime.text import InputError
-from ..schema.parameters import declared, elements, left_out, switched_on
+from ..schema.parameters import declared, elements, left_out
 from ._axes import all_axes, name_of, turned_back
 from ._refit import refit, with_fitted_state
 from ._score import Coordinates, responses_of, white_noise
@@ -301,11 +301,16 @@ def _with(
 
 
 def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
-    """The model with a part on that it leaves out, which changes nothing yet."""
-    absent = left_out(model).get(path.partition("[")[0])
-    if absent is None:
-        return switched_on(model, [path])
-    return absent.set(model, absent.declaration.neutral)
+    """The model with a part on that it leaves out, which changes nothing yet.
+
+    What has one number for all elements has one for each where a path is of an element.
+    """
+    name, _, element = path.partition("[")
+    absent = left_out(model).get(name)
+    if absent is not None:
+        model = absent.set(model, absent.declaration.neutral)
+    parts = declared(model)
+    return in_full(model, parts[name]) if element and name in parts else model
 
 
 MOST = 6

@@ -194,11 +194,14 @@ def parameter_rows(
     # Of a group of one element, that element has a row.
     members = {p: of for p, of in members.items() if len(of) > 1 or candidates[of[0]].path == p}
     alone = {one.path for one in candidates if one.group in scattering}
+    # Of what is asked for as a whole an element that shows nothing has no row.
+    whole = {one.path for one in candidates}
+    hidden = {path for path in whole if "[" in path and path.partition("[")[0] in whole}
     members = {path: of for path, of in members.items() if path not in alone}
     rows = [
         _untestable(one.path, one.kind, note, one.unit, one.value)
         for one, note in zip(candidates, notes, strict=True)
-        if note and one.path not in alone
+        if note and one.path not in alone | hidden
     ]
     for path, indices in members.items():
         among = [candidates[index] for index in indices]
@@ -337,11 +340,13 @@ def suspects(
     free = {path.partition("[")[0] for path in result.free}
     scattering = [] if parameters_alone else list(capabilities.scattering(result.model))
     scattering = [path for path in scattering if path not in {*each, *free}]
+    single = [] if parameters_alone else capabilities.one_by_one(result.model)
+    beside = [path for path in single if path not in {*each, *free}]
     of_this_fit = result.model, list(result.free), [*each, *scattering], result.config.get("ties")
-    asked = inquiry(*of_this_fit)
+    asked = inquiry(*of_this_fit, beside=beside)
     at = linearised(result, runs, asked)
     if is_disturbed(result, runs, at):
-        asked = inquiry(*of_this_fit, not_neutral(result, runs))
+        asked = inquiry(*of_this_fit, not_neutral(result, runs), beside=beside)
         at = linearised(result, runs, asked)
     factors = cell_factors(result, runs, at)
     first, fitted = len(asked.candidates), len(result.free)
