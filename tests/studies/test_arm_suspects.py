@@ -77,6 +77,24 @@ def test_a_drive_that_does_not_move_is_named():
 
 
 @pytest.mark.slow
+def test_what_joints_remember_at_the_first_row_is_asked_of_those_that_remember():
+    """Not of others, and each of them otherwise."""
+    assert "joints.memory.initial" not in arm().scattering()
+    remembers = {"joints.memory.strength": 0.3, "joints.memory.yield_angle": 0.02}
+    model = arm(parameters=remembers)
+    before = {"joints.memory.initial": [0.8, -0.7, -0.6, 0.8]}
+    truth = replace(model, {**small_arm.TRUTH, **before})
+    noise = {"position": small_arm.NOISE}
+    run = giajax.synthesise(truth, TIMES, COMMANDS, CHANNELS, noise=noise, constants=model)
+    free = list(small_arm.START)
+    result = giajax.fit(model, run, free=free, start=small_arm.START, check=False)
+    first = giajax.suspects(result, run).promising[0]
+    assert (first.path, first.kind) == ("joints.memory.initial", "scatter")
+    assert first.p_value < 1e-3
+    assert first.estimate == pytest.approx(0.7, abs=0.4)
+
+
+@pytest.mark.slow
 def test_a_right_arm_is_not_accused():
     named = [row.path for seed in range(3) for row in asked(recorded({}, seed)).significant]
     assert len(named) <= 1

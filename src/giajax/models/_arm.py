@@ -416,8 +416,10 @@ class ArmModel(AbstractModel):
         return others
 
     def scattering(self) -> tuple[str, ...]:
-        """Joints of one kind may be of different stiffness."""
-        return () if self.arm.pneumatics is not None else (JOINTS.stiffness_factor.path,)
+        """Joints of one kind may be of different stiffness, and begin with different memories."""
+        alone = () if self.arm.pneumatics is not None else (JOINTS.stiffness_factor.path,)
+        remembers = self.arm.joints.hysteresis.memory.strength is not None
+        return (*alone, *([JOINT_MEMORY.initial.path] if remembers else []))
 
     def one_by_one(self) -> tuple[str, ...]:
         """A drive may not move."""

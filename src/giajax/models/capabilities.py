@@ -113,7 +113,7 @@ def uncertain(model: AbstractModel, runs: Sequence[Run]) -> dict[str, Prior]:
 
 
 def scattering(model: AbstractModel) -> tuple[str, ...]:
-    """Factors of which each element may be another one: `giajax.suspects` tests their spread."""
+    """Parameters of which each element may be another one: `giajax.suspects` tests their spread."""
     return _asked(model, "scattering", ())
 
 

@@ -240,6 +240,13 @@ class _Memory(Group):
         lower=-1,
         upper=0.5,
     )
+    initial = left_out(
+        "",
+        "torque of a joint's hysteresis at the first row, against its angle, over its strength",
+        lower=-1,
+        upper=1,
+        **EACH_JOINT,
+    )
 
 
 class _Stops(Group):

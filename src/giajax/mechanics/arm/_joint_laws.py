@@ -431,17 +431,25 @@ class Memory(AbstractJointLaw):
         nu: sharpness of the knee.
         delta: shape of the loop; at most 1/2, where unloading is elastic: an element with more
             would give energy away.
+        initial: z at the beginning of a motion; None: 0.
     """
 
     strength: Each | None = parameter(JOINT_MEMORY.strength)
     yield_angle: Each = parameter(JOINT_MEMORY.yield_angle)
     nu: Scalar = parameter(JOINT_MEMORY.nu)
     delta: Scalar = parameter(JOINT_MEMORY.delta)
+    initial: Each | None = parameter(JOINT_MEMORY.initial)
 
     @property
     def rows(self) -> int:
         """States of each joint."""
         return 0 if self.strength is None else 1
+
+    def settled(self, at: JointState) -> States:
+        """The states at the beginning of a motion: what was before may have strained a joint."""
+        if self.initial is None:
+            return self.unstrained(at.angles)
+        return jnp.broadcast_to(self.initial, (self.rows, at.angles.size))
 
     def torque(self, at: JointState) -> PerJoint:
         """Torque against the strain, N m."""
