@@ -109,7 +109,7 @@ CASES = {
     "camera 2 cm aside": Case(
         ("camera.origin", "marker"), seen=lambda _, p: p - np.array([0.0, 0.02, 0.02])
     ),
-    "two markers exchanged": Case(seen=_exchanged),
+    "two markers exchanged": Case(("points",), seen=_exchanged),
     "drives with a lag of 0.4 s": Case(("joints.drive_lag",), command=_lagged),
     "drives reach 97 %": Case(("joints.drive_gain",), command=lambda _, angles: 0.97 * angles),
     "wind of 5 cm/s": Case(("air.wind",), parameters={"air.wind": [0.0, 0.05, 0.02]}),

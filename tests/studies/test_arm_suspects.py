@@ -95,6 +95,37 @@ def test_what_joints_remember_at_the_first_row_is_asked_of_those_that_remember()
 
 
 @pytest.mark.slow
+def test_points_that_a_camera_exchanged_or_lost_are_named():
+    run, rows = recorded({}), slice(12, 30)
+
+    def first(changed):
+        values = {name: row.copy() for name, row in run.values.items()}
+        for axis in "xyz":
+            changed(values, f"link02_{axis}", f"link04_{axis}")
+        return asked(dataclasses.replace(run, values=values)).promising[0]
+
+    def exchange(values, one, other):
+        both = values[one][rows].copy(), values[other][rows].copy()
+        values[other][rows], values[one][rows] = both
+
+    def take(values, one, other):
+        values[one][rows] = values[other][rows]
+
+    def lose(values, one, other):
+        values[other][3:] = values[other][3]
+
+    for changed, name, when in (
+        (exchange, "link02 and link04 exchanged", "from 1.2 s to 2.9 s"),
+        (take, "link02 shows link04", "from 1.2 s to 2.9 s"),
+        (lose, "link04 stands still", "s to 4 s"),
+    ):
+        row = first(changed)
+        assert (row.path, row.kind) == (f"points: {name}", "points")
+        assert row.note.endswith(when)
+        assert row.p_value < 1e-6
+
+
+@pytest.mark.slow
 def test_a_right_arm_is_not_accused():
     named = [row.path for seed in range(3) for row in asked(recorded({}, seed)).significant]
     assert len(named) <= 1

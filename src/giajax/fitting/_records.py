@@ -21,7 +21,9 @@ from ..schema.parameters import declared, replace
 from ._configuration import resolved_ties, tied
 from ._coordinates import Layout, members
 
-SuspectKind = Literal["parameter", "factor", "group", "scatter", "switch", "axes", "prior"]
+SuspectKind = Literal[
+    "parameter", "factor", "group", "scatter", "switch", "axes", "points", "prior"
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +35,7 @@ class Suspect:
             elements; of a switch or of axes what is changed.
         kind: "parameter"; "factor", of an array whose elements change in proportion; "group",
             several elements together; "switch", a choice of the model; "axes", of the recording;
+            "points" that are exchanged, lost or taken for others in it;
             "prior", a free parameter without what is known of it (`giajax explain` alone).
         unit: SI unit of the estimate; "" for a factor and for a switch, whose estimate is the
             share, from 0 to 1, of the change that it would make.

@@ -1,4 +1,4 @@
-"""Axes of recorded positions, in each of their orders and signs: tried without a fit."""
+"""Axes and points of recorded positions, taken for others or lost: tried without a fit."""
 
 import dataclasses
 import itertools
@@ -155,6 +155,128 @@ def axes_row(
         note="with the values that the fit began with" if at_start and drop else "",
     )
     return [row], len(ways)
+
+
+_STILL = 2.0  # times the variance of the noise: what stands still has no more
+
+
+def points_row(
+    runs: Sequence[Run],
+    at: Sequence[Response],
+    factors: Sequence[np.ndarray],
+    chi_square: float,
+    rest: Projected,
+) -> list[Suspect]:
+    """The best of recorded points that some rows in turn have exchanged, lost or taken for others.
+
+    Two are exchanged, one shows another, or stands still until the end of its run. The predictions
+    are those where the fit ended. What stands still is compared with the scatter of its residuals,
+    because an arm that has come to rest does so, too.
+    """
+    if any(run.times is None for run in runs):
+        return []
+    cells = _cells_of_points(runs, at, factors)
+    starts = np.cumsum([0, *(len(response.predicted) for response in at)])
+    ways: dict[str, tuple[float, int, int]] = {}
+
+    def off(shown: str, true: str) -> np.ndarray:
+        """Of each row, what the recorded coordinates of a point are off from those of another."""
+        observed, _, factor = cells[shown]
+        rest = np.where(factor > 0, cells[true][1] - observed, 0.0)
+        return np.sum((factor * rest) ** 2, axis=1)
+
+    def alike(one: str, other: str) -> bool:
+        known = [np.any(cells[name][2] > 0, axis=0) for name in (one, other)]
+        return bool(np.array_equal(*known))
+
+    shows = {
+        # Where the other is not recorded, too, nothing is compared.
+        (one, other): np.nan_to_num(off(one, one) - off(one, other))
+        for one, other in itertools.permutations(cells, 2)
+        if alike(one, other)
+    }
+    for (one, other), gain in shows.items():
+        ways[f"points: {one} shows {other}"] = _best_stretch(gain)
+        if one < other:
+            both = _best_stretch(gain + shows[other, one])
+            ways[f"points: {one} and {other} exchanged"] = both
+    for point, (observed, predicted, factor) in cells.items():
+        for first, end in itertools.pairwise(starts):
+            rows = slice(first, end)
+            both = np.nan_to_num(predicted - observed)[rows], observed[rows]
+            off_by, moves = (_scatter_from(each, factor[rows] ** 2) for each in both)
+            left = np.cumsum(np.sum(factor[rows] > 0, axis=1)[::-1])[::-1]
+            gains = np.where(moves < _STILL * left, off_by - moves, 0.0)
+            found = float(np.max(gains)), int(first + np.argmax(gains)), int(end)
+            name = f"points: {point} stands still"
+            ways[name] = max(ways.get(name, found), found)
+    if not ways:
+        return []
+    name, (drop, first, end) = max(ways.items(), key=lambda way: way[1][0])
+    # As of axes, for each of the stretches that it might have been.
+    scale = max(1.0, (chi_square - drop) / max(rest.values - rest.parameters, 1))
+    likelihood = np.log(len(ways)) + 2 * np.log(starts[-1]) - drop / scale / 2
+    if likelihood > 0:  # As much by chance.
+        return []
+    places = [_moment(runs, starts, row) for row in (first, max(end - 1, first))]
+    row = Suspect(
+        path=name,
+        kind="points",
+        unit="",
+        value=None,
+        estimate=None,
+        estimate_error=None,
+        chi_square_drop=drop,
+        degrees_of_freedom=1,
+        p_value=float(np.exp(likelihood)),
+        testable=True,
+        note=f"from {places[0]} to {places[1]}",
+    )
+    return [row]
+
+
+def _cells_of_points(
+    runs: Sequence[Run], at: Sequence[Response], factors: Sequence[np.ndarray]
+) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Of each recorded point, in all rows: coordinates observed, predicted, and their factors."""
+    found: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+    starts = np.cumsum([0, *(len(response.predicted) for response in at)])
+    for run, response, factor, first in zip(runs, at, factors, starts, strict=False):
+        rows = slice(first, first + len(factor))
+        for column, name in enumerate(response.channels):
+            channel = run.channels[name]
+            if channel.component is None or channel.quantity not in ("length", "pixel"):
+                continue
+            blank = np.zeros((3, starts[-1], len(_AXES)))
+            blank[1] = np.nan
+            point = found.setdefault(name.rpartition("_")[0], (blank[0], blank[1], blank[2]))
+            values = (response.observed, response.predicted, factor)
+            for table, all_columns in zip(point, values, strict=True):
+                table[rows, channel.component] = np.nan_to_num(all_columns[:, column])
+    return found
+
+
+def _best_stretch(gain: np.ndarray) -> tuple[float, int, int]:
+    """The largest sum of neighbouring rows, the first of them, and the one after the last."""
+    total = np.concatenate([[0.0], np.cumsum(gain)])
+    end = int(np.argmax(total - np.minimum.accumulate(total)))
+    first = int(np.argmin(total[: end + 1]))
+    return float(total[end] - total[first]), first, end
+
+
+def _scatter_from(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weighted squares of values about their mean from each row on, shape (row,)."""
+    powers = np.stack([weights, weights * values, weights * values**2])
+    count, sums, squares = np.cumsum(powers[:, ::-1], axis=1)[:, ::-1]
+    return np.asarray(np.sum(squares - sums**2 / np.where(count > 0, count, 1.0), axis=1))
+
+
+def _moment(runs: Sequence[Run], starts: np.ndarray, row: int) -> str:
+    """The time of one of the rows of all runs."""
+    place = int(np.searchsorted(starts, row, side="right")) - 1
+    run = runs[place]
+    assert run.times is not None
+    return f"{run.times[row - starts[place]]:.4g} s" + f" of '{run.name}'" * (len(runs) > 1)
 
 
 def chi_square_of(

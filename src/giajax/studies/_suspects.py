@@ -19,7 +19,7 @@ from ..recordings import Run
 from ..runtime.records import json_text
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import declared, get
-from ._axes import axes_row, chi_square_of
+from ._axes import axes_row, chi_square_of, points_row
 from ._candidates import Candidate, Inquiry, inquiry, is_disturbed, not_neutral
 from ._score import (
     IMITATED,
@@ -315,6 +315,7 @@ def suspects(
       predictions of both.
     - **Axes of recorded positions**, in each of their 48 orders and signs, without a fit, where
       the fit ended and where it began: a fit of wrong axes may have bent its model to them.
+    - **Points** that are exchanged, show another one or stand still in some of the rows, likewise.
 
     Missing physics is no noise, so the table is in the order of the drop of chi-square (less what
     as many random columns would take from residuals of this size), with the white noise that the
@@ -365,7 +366,7 @@ def suspects(
     ways = 0
     if not parameters_alone:
         axes, ways = axes_row(result, runs, at, factors, cells, rest)
-        rows += axes
+        rows += [*axes, *points_row(runs, at, factors, cells, rest)]
     rows += [_untestable(path, "parameter", why) for path, why in asked.impossible.items()]
     rows, number = _corrected(rows, further=max(ways - 1, 0))
     # What a column of random numbers takes from residuals of this size, on the scale of BIC.
@@ -411,7 +412,7 @@ def _left_over(
     given = [place for key in keys for place in tested.get(key, [])]
     basis = basis_of(rest.columns[:, given])
     left = float(np.sum((rest.residual - basis @ (basis.T @ rest.residual)) ** 2))
-    axes = [row.chi_square_drop or 0.0 for row in shown if row.kind == "axes"]
+    axes = [row.chi_square_drop or 0.0 for row in shown if row.kind in ("axes", "points")]
     left = min([left, *(chi_square - drop for drop in axes)])
     return float(np.sqrt(left / max(rest.values - rest.lost - basis.shape[1], 1.0)))
 
