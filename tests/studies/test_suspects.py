@@ -145,6 +145,25 @@ def test_a_robust_loss_and_an_outlier():
     assert found.promising[0].path == "late"
 
 
+def test_outliers_are_told_with_the_loss_for_them():
+    """Of 3 % of all cells; none where the noise is normal and what is missing is smooth."""
+    recording = recorded(seed=1)
+    rng, values = np.random.default_rng(1), dict(recording.values)
+    for name in recording.observations:
+        hit = rng.random(len(recording.times)) < 0.03
+        values[name] = values[name] + 10 * NOISE * hit * rng.normal(size=len(hit))
+    wild = dataclasses.replace(recording, values=values)
+    found = suspects(fitted(wild), wild)
+    row = found.promising[0]
+    assert (row.path, row.kind) == ("outliers", "outliers")
+    assert row.p_value < 1e-3
+    assert 0.01 < row.estimate < 0.03
+    assert "--loss student_t" in row.note
+    for other, options in (wild, {"loss": "student_t"}), (recorded(late=0.1), {}):
+        asked = suspects(fitted(other, **options), other)
+        assert all(row.kind != "outliers" for row in asked.rows)
+
+
 def test_several_runs_with_states_of_their_own():
     """What each run has for itself imitates a part of what is asked for, as in a refit."""
     short = recorded(late=0.05, seed=1, channels=("tip_y", "tip_z"))

@@ -22,7 +22,6 @@ from ..fitting import (
     prediction_errors,
 )
 from ..models import capabilities
-from ..noise import robust_deviation
 from ..recordings import (
     FitSettings,
     Run,
@@ -52,7 +51,7 @@ from ._stepwise import (
     best_of,
     is_one,
 )
-from ._suspects import Suspects
+from ._suspects import Suspects, outlying
 from ._systematic import with_suspects
 
 NEARNESS = 6.0
@@ -64,8 +63,6 @@ ROBUST = "huber"
 _ITERATIONS = 30  # of a step
 _MEMBERS = 2  # of a group, beside the first
 _AGAINST = 3.0  # standard deviations of a prior that a nuisance is off by
-_SPIKE = 5.0  # robust deviations by which an outlier differs from its neighbours
-_FEWEST, _SHARE = 3, 0.002  # outliers, in number and of all cells, from which on they count
 
 
 @dataclasses.dataclass(frozen=True)
@@ -356,7 +353,7 @@ def explain(
             raise KeyboardInterrupt
         begun = kept.refit("the first model", partly, fitted)
         first = Measured.of(begun, fitted, apart)
-        outliers = _outliers(first)
+        outliers = sum(int(np.sum(found)) for found in outlying(first.at))
         if outliers and result.loss.is_linear:
             kept.say(f"{outliers} outliers: residuals count by the loss {ROBUST}")
             begun = kept.refit(f"the first model by {ROBUST}", begun, fitted, loss=ROBUST)
@@ -444,24 +441,6 @@ class _Told:
         left = time_in_words(taken * max(self.most - done, 0))
         more = f"; at most about {left} left, and less where nothing is asked for" if done else ""
         self.say(f"{name}: chi-square {step.chi_square:.5g} ({reduced:.3g} a value){more}")
-
-
-def _outliers(fit: Measured) -> int:
-    """Cells that differ from both neighbours by far; 0 where they are too few to matter."""
-    count = cells = 0
-    for response in fit.at:
-        rest = response.observed - response.predicted
-        for column in rest.T:
-            known = column[~np.isnan(column)]
-            spike = known[1:-1] - (known[:-2] + known[2:]) / 2
-            usual = robust_deviation(spike)
-            cells += len(known)
-            # Beside an outlier its neighbours differ by half as much, the other way; of what rings
-            # by as much, and of what bends the same way.
-            around = np.stack([spike[:-2], spike[2:]]) + spike[1:-1] / 2
-            alone = np.all(np.abs(around) < 0.3 * np.abs(spike[1:-1]) + usual, axis=0)
-            count += int(np.sum(alone & (np.abs(spike[1:-1]) > _SPIKE * usual)))
-    return count if count >= max(_FEWEST, _SHARE * cells) else 0
 
 
 def _chosen(tries: int, result: FitResult, found: Suspects) -> list[Suspect]:

@@ -5,6 +5,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.special import pdtrc
 
 from ..fitting import (
     FitResult,
@@ -14,7 +15,7 @@ from ..fitting import (
     matching_runs,
 )
 from ..models import AbstractModel, capabilities
-from ..noise import SUSPECT_LEVEL, Reason, Verdict
+from ..noise import SUSPECT_LEVEL, Reason, Verdict, robust_deviation
 from ..recordings import Run
 from ..runtime.records import json_text
 from ..runtime.text import InputError, format_estimate
@@ -37,6 +38,7 @@ from ._score import (
     score,
     slopes_of,
     tables,
+    weighted_rest,
 )
 
 UNEXPLAINED = "unexplained"
@@ -296,6 +298,52 @@ def switch_row(rest: Projected, index: int, name: str) -> Suspect:
     return _amount_row(name, "switch", score(rest, [index], [0.0], [1.0]))
 
 
+_SPIKE = 5.0  # robust deviations by which an outlier differs from its neighbours
+_FEWEST, _SHARE = 3, 0.002  # outliers, in number and of all cells, from which on they count
+_BY_CHANCE = 1e-5  # of cells of normal noise, whose deviation is known to a tenth
+
+
+def outlying(at: Sequence[Response]) -> list[np.ndarray]:
+    """Which cells, (sample, channel), differ from both neighbours by far; none where too few do."""
+    found = []
+    for response in at:
+        found.append(np.zeros(response.observed.shape, dtype=bool))
+        for column, mark in zip((response.observed - response.predicted).T, found[-1].T, strict=True):
+            places = np.flatnonzero(~np.isnan(column))
+            if len(places) < 5:
+                continue
+            known = column[places]
+            spike = known[1:-1] - (known[:-2] + known[2:]) / 2
+            usual = robust_deviation(spike)
+            # Beside an outlier its neighbours differ by half as much, the other way; of what rings
+            # by as much, and of what bends the same way.
+            around = np.stack([spike[:-2], spike[2:]]) + spike[1:-1] / 2
+            alone = np.all(np.abs(around) < 0.3 * np.abs(spike[1:-1]) + usual, axis=0)
+            mark[places[2:-2]] = alone & (np.abs(spike[1:-1]) > _SPIKE * usual)
+    cells = sum(int(np.sum(~np.isnan(response.observed))) for response in at)
+    enough = sum(int(np.sum(each)) for each in found) >= max(_FEWEST, _SHARE * cells)
+    return [each & enough for each in found]
+
+
+def outliers_row(
+    result: FitResult, at: Sequence[Response], factors: Sequence[np.ndarray], rest: Projected
+) -> list[Suspect]:
+    """That there are outliers, where all residuals count as those of normal noise do."""
+    if not result.loss.is_linear or not all(rest.timed):
+        return []
+    weighted = (weighted_rest(one, one.predicted, by) for one, by in zip(at, factors, strict=True))
+    pairs = zip(weighted, outlying(at), strict=True)
+    away = np.concatenate([residuals[found] for residuals, found in pairs])
+    if not len(away):
+        return []
+    share, by_chance = len(away) / rest.values, pdtrc(len(away) - 1, _BY_CHANCE * rest.values)
+    sizes = np.array([share]), np.array([share / np.sqrt(len(away))])
+    found = Score(*sizes, float(np.sum(away**2)), float(by_chance))
+    note = "share of cells that differ from both of their neighbours: fit by --loss student_t"
+    row = _amount_row("outliers", "outliers", found, note)
+    return [dataclasses.replace(row, degrees_of_freedom=len(away))]
+
+
 def suspects(
     result: FitResult,
     runs: Run | Sequence[Run],
@@ -316,6 +364,7 @@ def suspects(
     - **Axes of recorded positions**, in each of their 48 orders and signs, without a fit, where
       the fit ended and where it began: a fit of wrong axes may have bent its model to them.
     - **Points** that are exchanged, show another one or stand still in some of the rows, likewise.
+    - **Outliers**, which are cells that differ from both of their neighbours.
 
     Missing physics is no noise, so the table is in the order of the drop of chi-square (less what
     as many random columns would take from residuals of this size), with the white noise that the
@@ -367,6 +416,7 @@ def suspects(
     if not parameters_alone:
         axes, ways = axes_row(result, runs, at, factors, cells, rest)
         rows += [*axes, *points_row(runs, at, factors, cells, rest)]
+        rows += outliers_row(result, at, factors, rest)
     rows += [_untestable(path, "parameter", why) for path, why in asked.impossible.items()]
     rows, number = _corrected(rows, further=max(ways - 1, 0))
     # What a column of random numbers takes from residuals of this size, on the scale of BIC.
