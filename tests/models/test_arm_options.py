@@ -186,6 +186,17 @@ def test_a_stiffness_that_drifts_and_one_for_each_joint():
     np.testing.assert_allclose(joints.at_time(40.0).stiffness, 0)
 
 
+def test_lift_that_drifts_bends_a_joint_as_slowly():
+    """A link afloat: the torque of its lift, which is at its middle, is that of the spring."""
+    drift, stiffness, times = -1e-3, 2.0, np.linspace(0.0, 30.0, 4)
+    values = {"buoyancy.imbalance_drift": drift, "joints.pitch_stiffness": stiffness}
+    arm = giajax.takeichi_20m(1, trim=True, gravity=9.81, parameters=values)
+    found = simulate(arm, ramps([0.0], [[0.0]]), times, solver="springs5")
+    behind = 0.05 / stiffness  # s, by which the damper follows
+    expected = drift * (times - behind) * 0.99 / 2 / stiffness
+    np.testing.assert_allclose(found.angles[1:, 0], expected[1:], rtol=5e-3)
+
+
 def test_drives_that_saturate_are_those_of_commands_that_do():
     """Between rows a command is linear, and what saturates is not: by rows as dense as that."""
     arm, times = giajax.takeichi_20m(2), np.linspace(0.0, 1.5, 1501)

@@ -26,7 +26,8 @@ def uneven():
     wind = ramps([0.0, 1.0], [[0.2, -0.1, 0.3], [0.5, 0.2, 0.1]])
     drives = {"joints.drive_lag": 0.3, "joints.drive_gain": 0.9, "joints.drive_saturation": 0.2}
     drives |= {"joints.stiffness_factor": 1.1, "joints.stiffness_drift": 0.2}
-    return replace(full_arm(LINKS), drives | {"joints.memory.initial": 0.0}), wind
+    drives |= {"joints.memory.initial": 0.0, "buoyancy.imbalance_drift": 0.05}
+    return replace(full_arm(LINKS), drives), wind
 
 
 def floating():
@@ -45,6 +46,7 @@ def floating():
         "joints.drive_gain": 1.0,
         "joints.drive_saturation": 0.0,
         "joints.memory.initial": 0.0,
+        "buoyancy.imbalance_drift": 0.0,
         "joints.stiffness_factor": 1.0,
         "joints.stiffness_drift": 0.0,
     }

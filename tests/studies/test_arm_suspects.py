@@ -22,6 +22,12 @@ RAMP = np.clip(TIMES / 0.5, 0, 1)
 COMMANDS = {"joint01_command": 0.6 * RAMP, "joint02_command": -0.5 * RAMP}
 
 
+TIP_AND_HARDENING = (
+    "point_masses.mass = 0.003 kg at the tip",
+    "joints.laws.hardening.cubic = 1 N m/rad^3",
+)
+
+
 def arm(**options):
     return ArmModel(giajax.takeichi_20m(small_arm.LINKS, **options))
 
@@ -126,6 +132,34 @@ def test_points_that_a_camera_exchanged_or_lost_are_named():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", TIP_AND_HARDENING)
+def test_what_an_arm_may_have_more_is_a_choice(name):
+    other = arm().variants()[name]
+    more = {"point_masses.mass": 0.02} if "tip" in name else {}
+    truth = replace(other, {**small_arm.TRUTH, **more})
+    noise = {"position": small_arm.NOISE}
+    run = giajax.synthesise(truth, TIMES, COMMANDS, CHANNELS, noise=noise, constants=arm())
+    found = asked(run)
+    row = found.of(name)
+    assert row.p_value < 1e-6
+    assert row.estimate > 0.3
+    assert row.chi_square_drop > 0.5 * found.promising[0].chi_square_drop
+
+
+@pytest.mark.slow
+def test_lift_that_is_lost_in_a_run_is_named():
+    model = arm(trim=True, gravity=9.81)
+    truth = replace(model, {**small_arm.TRUTH, "buoyancy.imbalance_drift": -0.01})
+    noise = {"position": small_arm.NOISE}
+    run = giajax.synthesise(truth, TIMES, COMMANDS, CHANNELS, noise=noise, constants=model)
+    free = list(small_arm.START)
+    result = giajax.fit(model, run, free=free, start=small_arm.START, check=False)
+    first = giajax.suspects(result, run).promising[0]
+    assert "buoyancy.imbalance_drift" in (first.path, *first.alike, *first.together)
+    assert first.p_value < 1e-6
+
+
+@pytest.mark.slow
 def test_a_right_arm_is_not_accused():
     named = [row.path for seed in range(3) for row in asked(recorded({}, seed)).significant]
     assert len(named) <= 1
@@ -157,24 +191,25 @@ def test_choices_of_an_arm():
         "arm.drag = strip",
         "arm.drag_curve = cylinder",
         "joints.memory.strength = 0.02 N m",
+        *TIP_AND_HARDENING,
         INERTIA,
         f"arm.drag = strip, {INERTIA}",
         "arm.trim = true",
         "arm.trim = true, trim_depth = 0.15 m",
     ]
     floating = arm(drag="strip", trim=True, gravity=9.81)
-    memory = "joints.memory.strength = 0.02 N m"
+    memory = ["joints.memory.strength = 0.02 N m", *TIP_AND_HARDENING]
     assert list(floating.variants()) == [
-        "arm.drag = centre", "arm.drag_curve = cylinder", memory, INERTIA,
+        "arm.drag = centre", "arm.drag_curve = cylinder", *memory, INERTIA,
     ]  # fmt: skip
     heavy = ArmModel(giajax.pendulum(1))
     assert list(heavy.variants()) == [
-        "arm.drag = strip", "arm.drag_curve = cylinder", memory, INERTIA,
+        "arm.drag = strip", "arm.drag_curve = cylinder", *memory, INERTIA,
         f"arm.drag = strip, {INERTIA}",
     ]  # fmt: skip
     moving = {"air.added_mass_coefficient": 1.0, "joints.memory.strength": 0.1}
     remembers = dataclasses.replace(heavy, arm=giajax.replace(heavy.arm, moving))
-    assert list(remembers.variants())[2:] == ["arm.added_mass = inertia"]
+    assert list(remembers.variants())[2:] == [*TIP_AND_HARDENING, "arm.added_mass = inertia"]
     late = replace(arm(), {"camera.delay": 0.2})
     *same, lag = late.variants()
     assert (same, lag) == (names, "joints.drive_lag = camera.delay, camera.delay = 0")

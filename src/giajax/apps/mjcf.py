@@ -429,6 +429,7 @@ def _not_exported(arm: Arm) -> Iterator[str]:
         "the gain of the drives": arm.joints.drive_gain is not None,
         "the lag of the drives": arm.joints.drive_lag is not None,
         "the saturation of the drives": arm.joints.drive_saturation is not None,
+        "the drift of lift": arm.buoyancy is not None and arm.buoyancy.imbalance_drift is not None,
         "the drift of stiffness": arm.joints.stiffness_drift is not None,
         "muscles, and what balloons resist": arm.pneumatics is not None,
         "obstacles": arm.contact is not None,

@@ -36,7 +36,8 @@ class Suspect:
         kind: "parameter"; "factor", of an array whose elements change in proportion; "group",
             several elements together; "switch", a choice of the model; "axes", of the recording;
             "points" that are exchanged, lost or taken for others in it;
-            "outliers", whose estimate is their share of all cells; "prior", a free parameter without what is known of it (`giajax explain` alone).
+            "outliers", whose estimate is their share of all cells; "prior", a free parameter
+            without what is known of it (`giajax explain` alone).
         unit: SI unit of the estimate; "" for a factor and for a switch, whose estimate is the
             share, from 0 to 1, of the change that it would make.
         value: what the fit held; a list for a group, None for axes.

@@ -12,6 +12,8 @@ from ..mechanics.arm import (
     Air,
     Arm,
     Buoyancy,
+    Hardening,
+    PointMasses,
     bodies,
     named_axes,
     structural_points,
@@ -26,6 +28,7 @@ from ..schema import (
     DRIVE,
     JOINT_MEMORY,
     LINKS,
+    POINT_MASSES,
     ArmSection,
     InitialSection,
     Prior,
@@ -64,6 +67,7 @@ SCALE = (
     "buoyancy.helium_density",
     "buoyancy.trim_mass",
     "buoyancy.imbalance",
+    "buoyancy.imbalance_drift",
     "point_masses.mass",
     "point_masses.drag_area",
 )
@@ -305,6 +309,21 @@ def arm_variants(arm: Arm) -> dict[str, Arm]:
         strength = JOINT_MEMORY.strength
         name = f"{strength.path} = {strength.default:g} {strength.unit}"
         others[name] = replace(arm, {strength.path: strength.default})
+    if arm.point_masses is None:
+        mass = POINT_MASSES.mass
+        tip = PointMasses(
+            links=(arm.count,),
+            mass=jnp.full(1, mass.default),
+            position=arm.links.length[-1:],
+        )
+        name = f"{mass.path} = {mass.default:g} {mass.unit} at the tip"
+        others[name] = dataclasses.replace(arm, point_masses=tip)
+    if "hardening" not in arm.joints.laws:
+        harder = Hardening()
+        laws = dict(sorted({**arm.joints.laws, "hardening": harder}.items()))
+        joints = dataclasses.replace(arm.joints, laws=laws)
+        name = f"joints.laws.hardening.cubic = {float(harder.cubic):g} N m/rad^3"
+        others[name] = dataclasses.replace(arm, joints=joints)
     if arm.pneumatics is not None and arm.pneumatics.drive.lag is None:
         name = f"{DRIVE.lag.path} = {DRIVE.lag.default:g} {DRIVE.lag.unit}"
         others[name] = replace(arm, {DRIVE.lag.path: DRIVE.lag.default})

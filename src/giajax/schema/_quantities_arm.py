@@ -142,6 +142,9 @@ class _Buoyancy(Group):
     imbalance = left_out(
         "N", "lift that is left over on a link, negative where it is weight", **EACH_LINK
     )
+    imbalance_drift = left_out(
+        "N/s", "by how much the lift of a link grows in a second from the first row on", **EACH_LINK
+    )
 
 
 AIR = _Air("air")

@@ -97,7 +97,7 @@ class Inputs(eqx.Module):
         end: the last time before the end of the motion, s.
         pressure: supplied to muscles over time, or None where their controller does.
         begin: the time of a wind field at 0 of all these times, s; None for 0.
-        first: the time at which a stiffness that drifts has not done so yet, s; None for 0.
+        first: the time at which what drifts has not done so yet, s; None for 0.
     """
 
     arm: Arm
@@ -111,11 +111,14 @@ class Inputs(eqx.Module):
 
     def arm_at(self, time: Any) -> Arm:
         """The arm as it is by then."""
-        if self.arm.joints.stiffness_drift is None:
-            return self.arm
+        arm, afloat = self.arm, self.arm.buoyancy
+        filled = afloat is None or afloat.imbalance_drift is None
+        if filled and arm.joints.stiffness_drift is None:
+            return arm
         since = time if self.begin is None else self.begin + time
         since = since if self.first is None else since - self.first
-        return dataclasses.replace(self.arm, joints=self.arm.joints.at_time(since))
+        lifted = None if afloat is None else afloat.at_time(since)
+        return dataclasses.replace(arm, joints=arm.joints.at_time(since), buoyancy=lifted)
 
     def parts(self, state: "State") -> "Parts":
         """What the rows of a state are."""

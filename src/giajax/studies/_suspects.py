@@ -308,7 +308,9 @@ def outlying(at: Sequence[Response]) -> list[np.ndarray]:
     found = []
     for response in at:
         found.append(np.zeros(response.observed.shape, dtype=bool))
-        for column, mark in zip((response.observed - response.predicted).T, found[-1].T, strict=True):
+        for column, mark in zip(
+            (response.observed - response.predicted).T, found[-1].T, strict=True
+        ):
             places = np.flatnonzero(~np.isnan(column))
             if len(places) < 5:
                 continue

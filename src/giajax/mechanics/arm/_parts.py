@@ -251,6 +251,15 @@ class Buoyancy(eqx.Module):
     trim_position: PerLink = parameter(BUOYANCY.trim_position)
     trim_depth: PerLink | None = parameter(BUOYANCY.trim_depth)
     imbalance: PerLink | None = parameter(BUOYANCY.imbalance)
+    imbalance_drift: PerLink | None = parameter(BUOYANCY.imbalance_drift)
+
+    def at_time(self, time: Scalar) -> "Buoyancy":
+        """With the lift at a time (s), where it drifts."""
+        if self.imbalance_drift is None:
+            return self
+        grown = self.imbalance_drift * time
+        grown = grown if self.imbalance is None else self.imbalance + grown
+        return dataclasses.replace(self, imbalance=grown, imbalance_drift=None)
 
 
 class PointMasses(eqx.Module):
