@@ -203,8 +203,8 @@ def points_row(
     for point, (observed, predicted, factor) in cells.items():
         for first, end in itertools.pairwise(starts):
             rows = slice(first, end)
-            both = np.nan_to_num(predicted - observed)[rows], observed[rows]
-            off_by, moves = (_scatter_from(each, factor[rows] ** 2) for each in both)
+            pair = np.nan_to_num(predicted - observed)[rows], observed[rows]
+            off_by, moves = (_scatter_from(each, factor[rows] ** 2) for each in pair)
             left = np.cumsum(np.sum(factor[rows] > 0, axis=1)[::-1])[::-1]
             gains = np.where(moves < _STILL * left, off_by - moves, 0.0)
             found = float(np.max(gains)), int(first + np.argmax(gains)), int(end)
