@@ -156,7 +156,7 @@ def report(given: OnResult) -> None:
     fitted = given.fitted
     held_out = []
     if fitted.held_out:
-        held_out = held_out_runs(fitted, given.data or [], rename=given.renamed)
+        held_out = held_out_runs(fitted, given.data or [], rename=given.renamed, folder=given.home)
     source = given.result / "result.json" if given.result.is_dir() else given.result
     made = report_page(fitted, given.runs, held_out=held_out, source=source)
     write_files({page: made}, force=given.force)

@@ -1,6 +1,7 @@
 """`giajax check`, `init`, `import`, `examples` and `cache`: recordings and files."""
 
 import json
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -112,7 +113,8 @@ def init(
     sidecar = sidecar_path(run)
     text = sidecar_template(run, parse_rename(rename or []))
     write_files({sidecar: text.encode()}, force=force)
-    typer.echo(f"wrote {sidecar}: fill it in, then see: giajax check {run}")
+    words = [str(run), *(word for pair in rename or [] for word in ("--rename", pair))]
+    typer.echo(f"wrote {sidecar}: fill it in, then see: giajax check {shlex.join(words)}")
 
 
 @command("""\b
@@ -188,7 +190,7 @@ def import_(
     cells = sum(seen.values()) // 2
     typer.echo(
         f"wrote {out}: {len(points.times)} pictures, {cells} points found of "
-        f"{len(values) // 2 * len(points.times)}; next: giajax init {out}"
+        f"{len(values) // 2 * len(points.times)}; next: giajax init {shlex.quote(str(out))}"
     )
 
 

@@ -87,7 +87,7 @@ def explain(
             **said,
             data=data or None,
             validation=validation or None,
-            rename=parse_rename(rename or []),
+            rename=parse_rename(rename) if rename else None,
             origin="the command line",
         )
         if not task.data:

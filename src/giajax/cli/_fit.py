@@ -562,7 +562,7 @@ def fit(
         data=data or None,
         begin=begin,
         out=out,
-        rename=parse_rename(rename or []),
+        rename=parse_rename(rename) if rename else None,
         origin="the command line",
     )
     if not task.data:

@@ -59,7 +59,9 @@ def tell(
     else:
         typer.echo(f"\ninside after {outcome.reached:.1f} s, in air of {wind:g} m/s")
     if out is not None:
-        typer.echo(f"wrote {shlex.quote(str(out))}; see: giajax view {out / 'run.csv'}")
+        typer.echo(
+            f"wrote {shlex.quote(str(out))}; see: giajax view {shlex.quote(str(out / 'run.csv'))}"
+        )
 
 
 def tell_cases(

@@ -210,9 +210,11 @@ def predict(
     from ..recordings import (
         Definition,
         check_output_files,
+        column_names,
         parse_rename,
         read_runs,
         run_keys,
+        stored_result,
         write_files,
     )
 
@@ -231,6 +233,14 @@ def predict(
     from ..studies import compare
 
     renamed = parse_rename(rename or [])
+    if not rename and is_result(model):
+        # Columns that are called as in the fit, where they are.
+        task = stored_result(model)[1].get("task") or {}
+        renamed = {
+            old: new
+            for old, new in task.get("rename", {}).items()
+            if all(old in column_names(path) for path in data)
+        }
 
     def runs_for(source: Path) -> "list[Run]":
         return read_runs(data, definition_of(source).merged_with(settings), rename=renamed)

@@ -81,7 +81,7 @@ class OnResult:
         """What was fitted."""
         from ..tasks import fitted_runs
 
-        return fitted_runs(self.fitted, self.data or [], rename=self.renamed)
+        return fitted_runs(self.fitted, self.data or [], rename=self.renamed, folder=self.home)
 
     def computed(self, study: Callable[..., Any], what: str, **settings: Any) -> Any:
         """What a study of the fit finds, by the workers that were asked for.

@@ -350,7 +350,7 @@ def suspects(
             print_table(*systematic_table(fitted))
     steps = None
     if ladder:
-        others += held_out_runs(fitted, given.data or [], rename=given.renamed)
+        others += held_out_runs(fitted, given.data or [], rename=given.renamed, folder=given.home)
         said = None if given.quiet else _say
         steps = selected(
             fitted, runs, held_out=others, most=most, tries=tries or TRIES, progress=said

@@ -54,7 +54,11 @@ from ._stored import (
     StoredTask as StoredTask,
     stored_result as stored_result,
 )
-from ._table import read_numbers as read_numbers, read_table as read_table
+from ._table import (
+    column_names as column_names,
+    read_numbers as read_numbers,
+    read_table as read_table,
+)
 from ._tracked import (
     Beside as Beside,
     TrackedPoints as TrackedPoints,

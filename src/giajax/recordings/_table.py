@@ -269,6 +269,11 @@ def read_numbers(path: Path) -> dict[str, npt.NDArray[np.float64]]:
     return found
 
 
+def column_names(path: Path) -> list[str]:
+    """The names of the columns of a `.csv` or `.parquet` file, as they are there."""
+    return _split(path)[1]
+
+
 def _split(path: Path) -> tuple[bytes, list[str], list[pl.Series], int]:
     """Content, header and columns of a file, and what errors call its first row."""
     if path.suffix.lower() not in _SUFFIXES:

@@ -61,8 +61,18 @@ def _checksum(path: Path, needed: bool) -> str | None:
         raise InputError(f"{path} cannot be read ({error.strerror}): mend that") from None
 
 
-def _base_of(record: Mapping[str, Any], folder: Path) -> Path:
-    """Where the relative paths of a record begin: here, or as they lie beside the result.
+def moved_to(path: str | Path, digits: str, folder: Path | None) -> Path | None:
+    """A file that has moved, by name and checksum: here, by the result or in folders above that."""
+    near = () if folder is None else (folder, *folder.resolve().parents[:2])
+    for place in (Path(), *near):
+        there = place / Path(path).name
+        if there.is_file() and _checksum(there, needed=True) == digits:
+            return there
+    return None
+
+
+def _places(record: Mapping[str, Any], folder: Path) -> Callable[[str], Path]:
+    """Where each file of a record is: here, as it lay beside the result, or where it has moved to.
 
     An InputError names the first file that is missing or has changed.
     """
@@ -72,6 +82,9 @@ def _base_of(record: Mapping[str, Any], folder: Path) -> Path:
         bases.append(folder / os.path.relpath(Path(), out))
     names = [name for name, digits in record["inputs"].items() if digits is not None]
     there = [base for base in bases if all((base / name).exists() for name in names)]
+    found = {n: moved_to(n, record["inputs"][n], folder) for n in names} if not there else {}
+    if found and None not in found.values():
+        return lambda name: found[name] or Path(name)
     if not there:
         missing = next(name for name in names if not (bases[0] / name).exists())
         raise InputError(
@@ -82,7 +95,8 @@ def _base_of(record: Mapping[str, Any], folder: Path) -> Path:
     complaints = [_change(record, base) for base in there]
     if None not in complaints:
         raise InputError(f"{complaints[0]} since the fit began: put it back as it was, or fit anew")
-    return there[complaints.index(None)]
+    base = there[complaints.index(None)]
+    return lambda name: base / name
 
 
 def _change(record: Mapping[str, Any], base: Path) -> str | None:
@@ -111,13 +125,13 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
 
 def unchanged(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The fields of the task that a record in a folder describes, whose files are as they were."""
-    base, source = _base_of(record, folder), record["source"]
+    place, source = _places(record, folder), record["source"]
     return {
         "definition": Definition.parse(record["definition"], "the stored task"),
-        "data": tuple(base / name for name in record["data"]),
-        "validation": tuple(base / name for name in record["validation"]),
+        "data": tuple(map(place, record["data"])),
+        "validation": tuple(map(place, record["validation"])),
         "rename": record["rename"],
-        "source": None if source is None else base / source,
+        "source": None if source is None else place(source),
         "begin": record["begin"],
     }
 
@@ -135,7 +149,7 @@ def check_again(now: Mapping[str, Any], before: Mapping[str, Any], folder: Path)
 
     An InputError names the first file, or all settings, that differ.
     """
-    _base_of(before, folder)
+    _places(before, folder)
     same_files = list(now["inputs"].values()) == list(before["inputs"].values())
     # What nuisances there are, its configuration says, which is compared.
     by_other_names = ("nuisances", *(("data", "validation") if same_files else ()))

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import functools
+import shlex
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -125,7 +126,8 @@ class Preparation:
                 if journal is not None and not journal.is_written:
                     raise InputError(
                         f"{folder} holds the journal of a fit that was cut off: go on with giajax "
-                        f"fit --resume {folder}, give another folder, or --force to begin anew"
+                        f"fit --resume {shlex.quote(str(folder))}, give another folder, or --force "
+                        "to begin anew"
                     )
                 head = {"task": dict(self.record), "config": dict(self.setup.config)}
                 made_by = {**versions(), **sources_of((self.setup.model, self.setup.loss))}

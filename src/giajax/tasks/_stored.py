@@ -1,5 +1,6 @@
 """What a stored result says of how it was fitted and of where it ended. Imports no JAX."""
 
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ from ..recordings import (
 )
 from ..runtime.records import plain_data
 from ..runtime.text import InputError
+from ._journal import moved_to
 
 if TYPE_CHECKING:
     from ..fitting import FitResult, HeldOut, RunFit
@@ -45,8 +47,8 @@ def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
     if record["status"] == "interrupted" or timed:
         raise InputError(
             f"{folder / 'result.json'} is of a fit that was stopped when its time was up, which no "
-            f"fit meets again: go on with giajax fit --resume {folder}, or begin from there with "
-            "--from"
+            f"fit meets again: go on with giajax fit --resume {shlex.quote(str(folder))}, or begin "
+            "from there with --from"
         )
     return folder, record
 
@@ -133,7 +135,11 @@ def without(beginning: Mapping[str, Any], paths: Iterable[str]) -> dict[str, Any
 
 
 def fitted_runs(
-    result: "FitResult", data: Sequence[str | Path] = (), *, rename: Mapping[str, str] | None = None
+    result: "FitResult",
+    data: Sequence[str | Path] = (),
+    *,
+    rename: Mapping[str, str] | None = None,
+    folder: Path | None = None,
 ) -> list[Run]:
     """The runs that a result was fitted to, as they were: channels, windows and what was stated.
 
@@ -142,20 +148,26 @@ def fitted_runs(
     Arguments:
         result: of `giajax.load_result`.
         data: the files, where they lie elsewhere now; in any order.
-        rename: the files' column name -> the name it has in the column table.
+        rename: the files' column name -> the name it has in the column table; by default as they
+            were called in the fit.
+        folder: of the result, beside which a file that has moved is looked for, by its checksum.
 
     Raises:
         InputError: a file is missing or another one; or a run was made in memory.
     """
-    parts = _read_again(result, result.runs, "runs", data, rename)
+    parts = _read_again(result, result.runs, "runs", data, rename, folder)
     return [run for part in parts if (run := part.fitted) is not None]
 
 
 def held_out_runs(
-    result: "FitResult", data: Sequence[str | Path] = (), *, rename: Mapping[str, str] | None = None
+    result: "FitResult",
+    data: Sequence[str | Path] = (),
+    *,
+    rename: Mapping[str, str] | None = None,
+    folder: Path | None = None,
 ) -> list[Run]:
     """What was held out of a fit, as `fitted_runs`: of `result.held_out`, these cells alone."""
-    parts = _read_again(result, result.held_out, "hold_out", data, rename)
+    parts = _read_again(result, result.held_out, "hold_out", data, rename, folder)
     return [run for part in parts if (run := part.held) is not None]
 
 
@@ -165,6 +177,7 @@ def _read_again(
     key: str,
     data: Sequence[str | Path],
     rename: Mapping[str, str] | None,
+    folder: Path | None,
 ) -> list[SplitRun]:
     """The runs of some records, each with what a key of the configuration of the fit says of it."""
     several = result.config.get(key, [])
@@ -174,7 +187,7 @@ def _read_again(
             "about it"
         )
     read: dict[tuple[str, str], Run] = {}
-    renamed = dict(rename or {})
+    renamed = dict(rename or result.task.get("rename", {}))
     others = {read_run(path, rename=renamed).sha256: path for path in data}
     parts = []
     for record, about in zip(records, several, strict=True):
@@ -188,6 +201,8 @@ def _read_again(
                 else f"{files} have not the content of {record.path}, which was fitted: give that "
                 "file"
             )
+        if not data and not Path(path).exists() and record.sha256 is not None:
+            path = moved_to(path, record.sha256, folder) or path
         if not data and not Path(path).exists():
             raise InputError(f"{path}, which was fitted, does not exist: give the file with --data")
         known = {key: item for key, item in about.items() if key in run_keys(model=False)}

@@ -132,7 +132,7 @@ def shown(
     if path.is_dir() or path.suffix == ".json":
         folder, _ = stored_result(path)
         result = load_result(path)
-        chosen = _chosen(fitted_runs(result, data, rename=rename), run, path)
+        chosen = _chosen(fitted_runs(result, data, rename=rename, folder=folder), run, path)
         return _followed(result.model_of(chosen), chosen, name or folder.name)
     if path.suffix == ".toml":
         definition = Definition.load(path)

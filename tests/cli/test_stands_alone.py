@@ -1,0 +1,108 @@
+"""A result stands alone: every command on it, and every hint that is printed, works.
+
+That is on a fit with renamed columns and spaces in names, from another folder, and where its files
+have moved.
+"""
+
+import html
+import re
+import shlex
+import shutil
+
+import pytest
+
+from giajax.cli import main
+from small_arm import STARTS, make_run
+
+RENAMED = {"t": "time_s", "first": "joint01_command_deg", "high up": "link04_z_m"}
+HINT = re.compile(r"giajax ((?:fit|suspects|check|init|explain|profile|report|view) .*)")
+
+
+@pytest.fixture
+def world(tmp_path, monkeypatch):
+    """A folder with a recording whose columns are called otherwise, which commands start in."""
+    here = tmp_path / "my arm"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    path = make_run(here, "the run")
+    head, rest = path.read_text().split("\n", 1)
+    for new, old in RENAMED.items():
+        head = head.replace(old, new)
+    path.write_text(f"{head}\n{rest}")
+    sidecar = path.with_suffix(".toml")
+    lines = sidecar.read_text().splitlines()
+    sidecar.write_text("\n".join(line for line in lines if "sha256" not in line) + "\n")
+    return here
+
+
+def options():
+    return [part for new, old in RENAMED.items() for part in ("--rename", f"{new}={old}")]
+
+
+def ran(capsys, *arguments, status=0):
+    found = main(list(map(str, arguments)))
+    said = capsys.readouterr()
+    assert found == status, said.err
+    return said.out + said.err
+
+
+def fitted(capsys, *more, status=0):
+    return ran(capsys, "fit", "--data", "the run.csv", *options(), *STARTS, "--no-figures",
+               "--out", "out of it/fit", *more, status=status)  # fmt: skip
+
+
+def hints(said):
+    """The commands that a text says to run, as lists of words."""
+    found = [HINT.search(line) for line in said.splitlines()]
+    return [shlex.split(match[1].removesuffix(":")) for match in found if match]
+
+
+def test_the_hint_of_a_fit_that_needs_more_iterations_works(world, capsys):
+    said = fitted(capsys, "--max-iterations", "3", "--no-suspects", status=1)
+    (resume,) = hints(said)
+    assert resume[:3] == ["fit", "--resume", "out of it/fit"]
+    assert "converged in" in ran(capsys, *resume, "--no-figures", "--no-suspects")
+    ran(capsys, "fit", "--data", "the run.csv", *options(), "--from", "out of it/fit",
+        "--out", "o 2", "--no-figures", "--no-suspects")  # fmt: skip
+    ran(capsys, "predict", "--model", "out of it/fit", "--data", "the run.csv")
+    ran(capsys, "report", "out of it/fit")
+    page = (world / "out of it" / "fit" / "report.html").read_text()
+    (again,) = set(re.findall(r"giajax (fit --again [^<]*)", html.unescape(page)))
+    ran(capsys, *shlex.split(again), "--no-figures", "--no-suspects")
+    (check,) = hints(ran(capsys, "init", "the run.csv", *options(), "--force"))
+    ran(capsys, *check)
+
+
+@pytest.mark.slow
+def test_studies_of_the_result_work(world, capsys):
+    fitted(capsys)
+    for command, *more in (
+        ["suspects"],
+        ["influence", "--no-figures"],
+        ["profile", "joints.damping", "--no-figures"],
+        ["bootstrap", "--size", "2", "--no-figures"],
+        ["posterior", "--chains", "1", "--draws", "8", "--warmup", "4"],
+        ["view", "--out", "page.html"],
+    ):
+        ran(capsys, command, "out of it/fit", *more)
+
+
+def test_a_result_is_asked_from_elsewhere_and_with_files_that_have_moved(
+    world, capsys, tmp_path, monkeypatch
+):
+    fitted(capsys, "--no-suspects")
+    monkeypatch.chdir(tmp_path)
+    ran(capsys, "influence", "my arm/out of it/fit", "--no-figures")
+    ran(capsys, "fit", "--again", "my arm/out of it/fit", "--no-figures", "--no-suspects",
+        "--out", "again")  # fmt: skip
+    shelf = tmp_path / "my arm" / "out of it"
+    for name in ("the run.csv", "the run.toml"):
+        shutil.move(world / name, shelf / name)
+    ran(capsys, "influence", "my arm/out of it/fit", "--no-figures", "--force")
+    ran(capsys, "fit", "--again", "my arm/out of it/fit", "--no-figures", "--no-suspects",
+        "--out", "again 2")  # fmt: skip
+    changed = shelf / "the run.csv"
+    changed.write_text(changed.read_text().replace("0.0", "0.1", 1))
+    assert "does not exist" in ran(
+        capsys, "influence", "my arm/out of it/fit", "--no-figures", "--force", status=2
+    )
