@@ -233,7 +233,7 @@ def predict(
     from ..studies import compare
 
     renamed = parse_rename(rename or [])
-    if not rename and is_result(model):
+    if not rename and is_result(model) and model.exists():
         # Columns that are called as in the fit, where they are.
         task = stored_result(model)[1].get("task") or {}
         renamed = {
