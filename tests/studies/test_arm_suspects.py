@@ -108,7 +108,7 @@ def test_points_that_a_camera_exchanged_or_lost_are_named():
         values = {name: row.copy() for name, row in run.values.items()}
         for axis in "xyz":
             changed(values, f"link02_{axis}", f"link04_{axis}")
-        return asked(dataclasses.replace(run, values=values)).promising[0]
+        return asked(dataclasses.replace(run, values=values)).significant[0]
 
     def exchange(values, one, other):
         both = values[one][rows].copy(), values[other][rows].copy()

@@ -158,6 +158,13 @@ def axes_row(
 
 
 _STILL = 2.0  # times the variance of the noise: what stands still has no more
+_JUMP = 20.0  # of chi-square, that two points jump by where they are exchanged from one row on
+
+Cells = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Of a point in the rows of all runs: coordinates recorded, predicted, and their factors."""
+
+Way = tuple[float, int, int]
+"""What something takes from chi-square, the first of its rows, and the one after the last."""
 
 
 def points_row(
@@ -170,45 +177,20 @@ def points_row(
     """The best of recorded points that some rows in turn have exchanged, lost or taken for others.
 
     Two are exchanged, one shows another, or stands still until the end of its run. The predictions
-    are those where the fit ended. What stands still is compared with the scatter of its residuals,
-    because an arm that has come to rest does so, too.
+    are those where the fit ended; and as a wrong model may have points in the wrong order, or move
+    what has come to rest, the recording by itself has to agree: it jumps where points are exchanged
+    within a run, has two at one place where one shows the other, and moves another one while one
+    stands still.
     """
     if any(run.times is None for run in runs):
         return []
     cells = _cells_of_points(runs, at, factors)
     starts = np.cumsum([0, *(len(response.predicted) for response in at)])
-    ways: dict[str, tuple[float, int, int]] = {}
-
-    def off(shown: str, true: str) -> np.ndarray:
-        """Of each row, what the recorded coordinates of a point are off from those of another."""
-        observed, _, factor = cells[shown]
-        rest = np.where(factor > 0, cells[true][1] - observed, 0.0)
-        return np.sum((factor * rest) ** 2, axis=1)
-
-    def alike(one: str, other: str) -> bool:
-        known = [np.any(cells[name][2] > 0, axis=0) for name in (one, other)]
-        return bool(np.array_equal(*known))
-
-    shows = {
-        # Where the other is not recorded, too, nothing is compared.
-        (one, other): np.nan_to_num(off(one, one) - off(one, other))
-        for one, other in itertools.permutations(cells, 2)
-        if alike(one, other)
-    }
-    for (one, other), gain in shows.items():
-        ways[f"points: {one} shows {other}"] = _best_stretch(gain)
-        if one < other:
-            both = _best_stretch(gain + shows[other, one])
-            ways[f"points: {one} and {other} exchanged"] = both
-    for point, (observed, predicted, factor) in cells.items():
-        for first, end in itertools.pairwise(starts):
-            rows = slice(first, end)
-            pair = np.nan_to_num(predicted - observed)[rows], observed[rows]
-            off_by, moves = (_scatter_from(each, factor[rows] ** 2) for each in pair)
-            left = np.cumsum(np.sum(factor[rows] > 0, axis=1)[::-1])[::-1]
-            gains = np.where(moves < _STILL * left, off_by - moves, 0.0)
-            found = float(np.max(gains)), int(first + np.argmax(gains)), int(end)
-            name = f"points: {point} stands still"
+    ways: dict[str, Way] = {}
+    for one, other in itertools.combinations(sorted(cells), 2):
+        ways |= _taken_for((one, other), (cells[one], cells[other]), starts)
+    for first, end in itertools.pairwise(starts):
+        for name, found in _lost(cells, int(first), int(end)).items():
             ways[name] = max(ways.get(name, found), found)
     if not ways:
         return []
@@ -237,9 +219,9 @@ def points_row(
 
 def _cells_of_points(
     runs: Sequence[Run], at: Sequence[Response], factors: Sequence[np.ndarray]
-) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+) -> dict[str, Cells]:
     """Of each recorded point, in all rows: coordinates observed, predicted, and their factors."""
-    found: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+    found: dict[str, Cells] = {}
     starts = np.cumsum([0, *(len(response.predicted) for response in at)])
     for run, response, factor, first in zip(runs, at, factors, starts, strict=False):
         rows = slice(first, first + len(factor))
@@ -256,12 +238,71 @@ def _cells_of_points(
     return found
 
 
-def _best_stretch(gain: np.ndarray) -> tuple[float, int, int]:
-    """The largest sum of neighbouring rows, the first of them, and the one after the last."""
+def _taken_for(
+    names: tuple[str, str], pair: tuple[Cells, Cells], starts: np.ndarray
+) -> dict[str, Way]:
+    """Two points exchanged, and each in the place of the other; nothing of other coordinates."""
+    factors = [factor for _, _, factor in pair]
+    if not np.array_equal(*(np.any(factor > 0, axis=0) for factor in factors)):
+        return {}
+    both = np.sqrt(factors[0] * factors[1])
+    rows = np.flatnonzero(np.any(both > 0, axis=1))
+    if not len(rows):
+        return {}
+    apart = (both * (pair[0][0] - pair[1][0]))[rows]
+    gains = []
+    for (observed, predicted, factor), (_, instead, _) in (pair, (pair[1], pair[0])):
+        off = [(factor * (each - observed)) ** 2 for each in (predicted, instead)]
+        gains.append(np.sum(np.where(both > 0, off[0] - off[1], 0.0), axis=1)[rows])
+    run = np.searchsorted(starts, rows, side="right")
+    first, end = _best_stretch(gains[0] + gains[1])
+    inner = [row for row in (first, end) if 0 < row < len(rows) and run[row - 1] == run[row]]
+    if any(-2 * apart[row - 1] @ apart[row] < _JUMP for row in inner):
+        first, end = 0, len(rows)
+    found = [(f"{names[0]} and {names[1]} exchanged", gains[0] + gains[1], first, end)]
+    for name, gain in zip((names, (names[1], names[0])), gains, strict=True):
+        first, end = _best_stretch(gain)
+        count = np.sum(both[rows][first:end] > 0)
+        if np.sum(apart[first:end] ** 2) < 2 * _STILL * count:
+            found.append((f"{name[0]} shows {name[1]}", gain, first, end))
+    return {
+        f"points: {name}": (
+            float(np.sum(gain[first:end])),
+            int(rows[first]),
+            int(rows[end - 1]) + 1,
+        )
+        for name, gain, first, end in found
+    }
+
+
+def _lost(cells: Mapping[str, Cells], first: int, end: int) -> dict[str, Way]:
+    """Points that stand still until the end of a run while another one moves."""
+    gains, moves = {}, {}
+    for name, (observed, predicted, factor) in cells.items():
+        weights = factor[first:end] ** 2
+        left = np.cumsum(np.sum(weights > 0, axis=1)[::-1])[::-1]
+        rest = np.nan_to_num(predicted - observed)[first:end]
+        scatter = _scatter_from(observed[first:end], weights)
+        gains[name] = _scatter_from(rest, weights) - scatter
+        moves[name] = scatter / np.maximum(left, 1) / _STILL
+    most = np.max(list(moves.values()), axis=0, initial=0.0)
+    ways = {}
+    for name, gain in gains.items():
+        gain = np.where((moves[name] < 1) & (most > _STILL), gain, 0.0)
+        ways[f"points: {name} stands still"] = (
+            float(np.max(gain)),
+            first + int(np.argmax(gain)),
+            end,
+        )
+    return ways
+
+
+def _best_stretch(gain: np.ndarray) -> tuple[int, int]:
+    """The first of the neighbouring rows with the largest sum, and the one after the last."""
     total = np.concatenate([[0.0], np.cumsum(gain)])
     end = int(np.argmax(total - np.minimum.accumulate(total)))
     first = int(np.argmin(total[: end + 1]))
-    return float(total[end] - total[first]), first, end
+    return first, end
 
 
 def _scatter_from(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
