@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -241,6 +242,23 @@ def test_a_mistake_is_named(mistake, name):
     found = made(mistake, name, 1)
     assert MISTAKES[mistake][0] in [odd.code for odd in found], found
     assert all(odd.sentence and odd.remedy for odd in found)
+
+
+@quick
+@pytest.mark.parametrize(("factor", "unit"), [(1000, "mm"), (100, "cm")])
+def test_positions_in_another_unit_are_renamed(factor, unit):
+    columns, definition = right("pitch_yaw", np.random.default_rng(2))
+    for column in positions(columns):
+        columns[column] = factor * columns[column]
+    odd = found(columns, definition)[0]
+    assert re.search(rf"--rename (link.._._)m=\1{unit}, and the others alike", odd.remedy)
+
+
+@quick
+def test_one_mistake_is_one_note():
+    for mistake in (millimetres, degrees, z_down, zeros, glitches, wrong_joint, take, origin):
+        codes = [odd.code for odd in made(mistake, "base_step", 3)]
+        assert codes == [MISTAKES[mistake][0]], mistake
 
 
 ALL = (*NAMES, "pendulum")

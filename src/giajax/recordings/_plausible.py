@@ -255,7 +255,9 @@ def _glitches(look: _Look) -> Iterator[Oddity]:
         # What an accelerometer shows of an impact is a single cell, too.
         if cells.channel.quantity in ("acceleration", "angular_velocity"):
             continue
-        values, floor = cells.values, _SIGMAS * cells.noise
+        # Zeros are lost cells, if anything.
+        keep = cells.values != 0
+        values, rows, floor = cells.values[keep], cells.rows[keep], _SIGMAS * cells.noise
         jumps = np.flatnonzero(np.abs(np.diff(values)) > max(floor, 0.05 * cells.span))
         if len(jumps) > 0.2 * len(values):
             continue
@@ -266,13 +268,12 @@ def _glitches(look: _Look) -> Iterator[Oddity]:
         low, high = around[:, 1], around[:, -2]
         beyond = np.maximum(low - values[places], values[places] - high)
         odd = places[beyond > np.maximum(_BEYOND * (high - low) + floor, 0.05 * cells.span)]
-        odd = odd[values[odd] != 0] if np.min(np.abs(around), initial=1) else odd
-        extreme = (np.min(values), np.max(values))
+        extreme = (np.min(values, initial=0), np.max(values, initial=0))
         recorded = np.round(np.abs(cells.channel.from_si(values[odd])), 6)
         odd = odd[~(np.isin(recorded, _STANDS_FOR_NOTHING) & np.isin(values[odd], extreme))]
         if not odd.size:
             continue
-        rows = cells.rows[odd]
+        rows = rows[odd]
         yield Oddity(
             "glitches",
             f"{look.of(cells.channel)} is far beyond the cells around it in {look.at(rows)}: "
@@ -818,6 +819,8 @@ def _pose_of(look: _Look) -> _Pose | None:
     angles = np.zeros((len(rows), count))
     for joint, values in commands.items():
         angles[:, joint - 1] = np.median(values[rows], axis=1)
+    if np.max(np.abs(angles)) > _TURN:  # as `_magnitudes` says
+        return None
     named = {"pitch": (0.0, -1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
     words = ["pitch", "yaw"] * count if axes == "pitch_yaw" else axes
     vectors = np.array([named[a] if isinstance(a, str) else a for a in words[:count]], dtype=float)
@@ -1128,26 +1131,36 @@ def _reach(look: _Look) -> Iterator[Oddity]:
     sensors = look.section(SensorsSection).values()
     if CAMERA.origin.path in sensors or CAMERA.scale.path in sensors:
         return
-    reach = float(np.sum(np.broadcast_to(known[LINKS.length.path], (count,))))
+    lengths = np.broadcast_to(known[LINKS.length.path], (count,))
+    # How many times as far from the base as the arm lets each be, the worst first.
+    beyond = []
     for name, cells in look.measured.items():
-        if cells.channel.kind not in ("link_position", "tip_position"):
-            continue
-        far = float(np.quantile(np.abs(cells.values[:: max(len(cells.values) // 2000, 1)]), 0.9))
-        if far <= 1.2 * reach + 6 * cells.noise + 0.1:
-            continue
-        channel, ratio = cells.channel, far / reach
-        unit = "mm" if ratio > 60 else "cm" if ratio > 6 else ""
-        renamed = f"--rename {channel.column}={name}_{unit}, and the others alike"
-        yield Oddity(
-            "units" if unit else "frame",
-            f"{look.of(channel)} is up to {far:.4g} m, but the arm is {reach:.4g} m long: "
-            + (f"the values may be in {unit}" if unit else "the origin, or a length, may be wrong"),
-            (renamed if channel.unit == "m" else "convert the values")
-            if unit
-            else "correct the columns, or links and link_length_m in [arm]",
-            (name,),
-        )
+        if cells.channel.kind in ("link_position", "tip_position"):
+            link = (cells.channel.index or count + 1) - 1
+            own = float(np.sum(lengths[:link]) + np.sum(lengths[link : link + 1]) / 2)
+            seen = np.abs(cells.values[:: max(len(cells.values) // 2000, 1)])
+            far = float(np.quantile(seen, 0.9))
+            if far > 1.2 * own + 6 * cells.noise + 0.1:
+                beyond.append((far / own, far, own, name))
+    if not beyond:
         return
+    ratio, far, own, name = max(beyond)
+    channel = look.run.channels[name]
+    # What is farther than a hundred times as far is too far in cm, too.
+    unit = "mm" if ratio > 120 else "cm" if ratio > 10 else ""
+    what = (
+        f"the values may be in {unit}" if unit else "the origin, a label or a length may be wrong"
+    )
+    remedy = "correct the columns, or links and link_length_m in [arm]"
+    if unit:
+        renamed = f"--rename {channel.column}={name}_{unit}, and the others alike"
+        remedy = renamed if channel.unit == "m" else "convert the values"
+    yield Oddity(
+        "units" if unit else "frame",
+        f"{look.of(channel)} is up to {far:.4g} m, but the arm lets it be {own:.4g} m: {what}",
+        remedy,
+        (name,),
+    )
 
 
 def _force(look: _Look) -> Iterator[Oddity]:
