@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import types
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,10 +10,12 @@ import pytest
 from curves import NOISE, TRUTH, OwnHeights, curve, recorded
 
 from giajax import InputError, Run, fit, replace, suspects, write_result
+from giajax.fitting import Response
 from giajax.report import suspect_rows
 from giajax.runtime.arrays import Scalar
 from giajax.schema.parameters import parameter
 from giajax.studies import inquiry, is_disturbed, linearised, with_suspects
+from giajax.studies._axes import chi_square_of, points_row
 from toy_model import Decay, run
 
 FREE = ["amplitude", "decay"]
@@ -354,3 +357,24 @@ def test_what_nothing_explains_is_said_and_drawn(tmp_path):
     codes = [each.code for each in with_suspects(fitted(late), late).verdict.reasons]
     assert codes
     assert "unexplained" not in codes
+
+
+@pytest.mark.quick
+def test_a_wrong_model_is_no_exchange_of_points():
+    """It has two points in the wrong order; an exchange makes the recording itself jump."""
+    times = np.linspace(0.0, 25.0, 251)
+    names = ("link08_z", "tip_z")
+    predicted = np.stack([times / 25, 1.5 * times / 25], axis=1)
+    swapped = predicted + 1e-2 * np.sin(99 * times)[:, None]
+    drifting = swapped - [0.0, 1.0] * np.clip(times / 10 - 1.5, 0, 1)[:, None]
+    swapped[150:] = swapped[150:, ::-1]
+    for observed, said in (drifting, []), (swapped, ["points: link08 and tip exchanged"]):
+        recording = Run.from_arrays(
+            times, dict(zip(names, observed.T, strict=True)), definition={"free_motion": True}
+        )
+        at = [Response(names, predicted, observed, predicted[..., None], predicted[..., None])]
+        factors = [np.full(observed.shape, 100.0)]
+        squares = chi_square_of(at, [predicted], factors)
+        plain = types.SimpleNamespace(values=502, parameters=4)
+        rows = points_row([recording], at, factors, squares, plain)
+        assert [row.path for row in rows] == said

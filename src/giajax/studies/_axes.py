@@ -159,6 +159,7 @@ def axes_row(
 
 _STILL = 2.0  # times the variance of the noise: what stands still has no more
 _JUMP = 20.0  # of chi-square, that two points jump by where they are exchanged from one row on
+_ALWAYS = 0.9  # of what the best rows take: points that are exchanged in all of them take as much
 
 Cells = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Of a point in the rows of all runs: coordinates recorded, predicted, and their factors."""
@@ -255,11 +256,14 @@ def _taken_for(
         off = [(factor * (each - observed)) ** 2 for each in (predicted, instead)]
         gains.append(np.sum(np.where(both > 0, off[0] - off[1], 0.0), axis=1)[rows])
     run = np.searchsorted(starts, rows, side="right")
-    first, end = _best_stretch(gains[0] + gains[1])
+    total = gains[0] + gains[1]
+    first, end = _best_stretch(total)
     inner = [row for row in (first, end) if 0 < row < len(rows) and run[row - 1] == run[row]]
     if any(-2 * apart[row - 1] @ apart[row] < _JUMP for row in inner):
-        first, end = 0, len(rows)
-    found = [(f"{names[0]} and {names[1]} exchanged", gains[0] + gains[1], first, end)]
+        # Or they are exchanged from the first row on, and nowhere the other way.
+        always = np.sum(total) > _ALWAYS * np.sum(total[first:end])
+        first, end = 0, len(rows) * bool(always)
+    found = [(f"{names[0]} and {names[1]} exchanged", total, first, end)]
     for name, gain in zip((names, (names[1], names[0])), gains, strict=True):
         first, end = _best_stretch(gain)
         count = np.sum(both[rows][first:end] > 0)
