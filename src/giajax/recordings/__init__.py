@@ -30,7 +30,8 @@ from ._fit_sections import (
     seconds_of as seconds_of,
 )
 from ._hold_out import SplitRun as SplitRun, hold_out as hold_out, split_run as split_run
-from ._plausible import Oddity as Oddity, oddities as oddities
+from ._plausible import oddities as oddities
+from ._plausible_columns import Oddity as Oddity
 from ._read import (
     check_output_files as check_output_files,
     check_output_folder as check_output_folder,
