@@ -186,9 +186,10 @@ def test_the_springs_are_those_of_the_motion():
     arm = replace(takeichi_20m(4), {"joints.damping": 0.3})
     inputs = Inputs(arm, constant(np.zeros(4)), None, None, jnp.ones(()))
     rest = jnp.zeros((2, 4))
-    mass, stiffness, damping, memory, contact = springs(0.0, rest, inputs)
+    mass, stiffness, damping, memory, contact, borne = springs(0.0, rest, inputs)
     assert memory is None
     assert contact is None
+    assert not borne.size
     jacobian = jax.jacfwd(lambda state: motion(0.0, state, inputs))(rest)[1]
     assert_allclose(-mass @ jacobian[:, 0], np.diag(stiffness), atol=1e-10)
     assert_allclose(-mass @ jacobian[:, 1], np.diag(damping), atol=1e-10)

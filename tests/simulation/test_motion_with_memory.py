@@ -12,7 +12,14 @@ from numpy.testing import assert_allclose
 from giajax import InputError
 from giajax.mechanics.arm import acceleration, takeichi_20m
 from giajax.schema.parameters import replace
-from giajax.simulation import Signal, logged, simulate, solver as solver_named, with_return_mapping
+from giajax.simulation import (
+    Signal,
+    joint_ramps,
+    logged,
+    simulate,
+    solver as solver_named,
+    with_return_mapping,
+)
 
 LINKS = 2
 END = 2.0
@@ -187,3 +194,39 @@ def test_a_derivative_by_when_a_command_turns_is_that_of_the_motion():
     assert np.abs(expected).max() > 0.2
     # With steps that move with the command it was off by thousands.
     assert_allclose(found, expected, atol=0.1)
+
+
+TAKEICHI = {
+    "memory": {"joints.memory.strength": 0.06, "joints.memory.yield_angle": 0.001},
+    "stops": {"joints.stops.strength": [0.03, 0.03], "joints.stops.yield_angle": [1e-3, 4e-3]},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", TAKEICHI)
+def test_turns_of_many_joints_cost_few_steps(law):
+    """A few more than without: in these 25 s joints turn round more often than there are steps."""
+    command = joint_ramps(20, {1: np.deg2rad(30), 2: np.deg2rad(20)}, start=0.5, duration=1.0)
+    times = np.linspace(0.0, 25.0, 251)
+    arms = {"plain": takeichi_20m(), law: takeichi_20m(parameters=TAKEICHI[law])}
+    options = {"solver": "springs5", "rtol": 3e-5, "atol": 3e-5}
+    steps = {name: simulate(arm, command, times, **options).steps for name, arm in arms.items()}
+    motion = simulate(arms[law], command, times, **options)
+    fine = simulate(arms[law], command, times, solver="springs5", rtol=1e-9, atol=1e-9)
+    turned = np.sum(np.diff(np.sign(fine.rates), axis=0) != 0)
+    assert turned > np.sum(steps[law])
+    assert np.sum(steps[law]) < 2 * np.sum(steps["plain"])
+    assert np.max(np.linalg.norm(motion.tip - fine.tip, axis=1)) < 3e-4
+
+
+@pytest.mark.slow
+def test_states_between_two_steps_are_those_of_the_way():
+    """At samples within long steps, of joints that turn in them, as by short ones."""
+    arm = arm_with({"joints.memory.strength": 0.1, "joints.memory.yield_angle": 0.02})
+    times = np.linspace(0.0, END, 201)
+    long, short = (
+        simulate(arm, to_and_fro(), times, solver="springs5", rtol=tolerance, atol=tolerance)
+        for tolerance in (1e-5, 1e-9)
+    )
+    assert 3 * np.sum(long.steps) < np.sum(short.steps)
+    assert_allclose(long.memory, short.memory, rtol=0, atol=2e-3)

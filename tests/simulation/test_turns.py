@@ -17,8 +17,8 @@ def state(time):
 
 
 def test_a_cubic_motion_turns_where_it_does():
-    does, part = turns(STEP, state(0.0), state(STEP))
-    assert does.tolist() == [True, False, True]
+    part, again = turns(STEP, state(0.0), state(STEP))
+    assert again.tolist() == [1, 1, 1]
     assert_allclose(part, [0.25 / STEP, 1.0, 0.39 / STEP], rtol=1e-12)
     assert_allclose(angle_after(part, STEP, state(0.0), state(STEP))[0], 0.0, atol=1e-15)
     # That at its end is left in the step.

@@ -85,6 +85,14 @@ def inverse_of_positive(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return half.T @ half
 
 
+@jax.jit
+def solution_of_positive(matrix: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
+    """A^-1 b of a positive matrix A, from its lower triangle."""
+    factor, row = cholesky_factor(matrix), b[None]
+    half = jax.lax.linalg.triangular_solve(factor, row, lower=True, transpose_a=True)
+    return jax.lax.linalg.triangular_solve(factor, half, lower=True)[0]
+
+
 def dot(a: Float[Array, "3 *shape"], b: Float[Array, "3 *shape"]) -> Float[Array, "*shape"]:
     """Scalar product over the first axis."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -17,14 +17,14 @@ from ._linearly_implicit import (
 )
 from ._motion import (
     Inputs as Inputs,
+    angle_after as angle_after,
     fastest_rate as fastest_rate,
     motion as motion,
     pull as pull,
     springs as springs,
+    turns as turns,
 )
 from ._return_mapping import (
-    angle_after as angle_after,
-    turns as turns,
     with_return_mapping as with_return_mapping,
 )
 from ._signal import (

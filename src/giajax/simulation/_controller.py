@@ -15,8 +15,7 @@ import jax.numpy as jnp
 from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.text import InputError
 from ._linearly_implicit import SOLVERS, LinearlyImplicit, Solver, solver as method_named
-from ._motion import Inputs, Rates, State, fastest_rate
-from ._return_mapping import turns
+from ._motion import Inputs, Rates, State, fastest_rate, turns
 from ._signal import last_before
 
 # Length of a step, times the rate of the motion, that a method is stable with: where its stability
@@ -249,7 +248,7 @@ def first_turn(
     A joint that moves by less than `least` (rad) in the step is at rest.
     """
     # The time of a step's end is no part of what is differentiated.
-    does, part = jax.lax.stop_gradient(turns(step, y0, y1))
+    part = jax.lax.stop_gradient(turns(step, y0, y1))[0]
     moves = step * jnp.maximum(jnp.abs(y0[1]), jnp.abs(y1[1])) > least
-    within = does & moves & (part > _SHORT) & (part < _LATE)
+    within = moves & (part > _SHORT) & (part < _LATE)
     return jnp.min(jnp.where(within, part, 1))

@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..runtime.arrays import Array, Bool, Float, Scalar, inverse_of_positive
+from ..runtime.arrays import Array, Bool, Float, Scalar, inverse_of_positive, solution_of_positive
 from ..runtime.solvers import from_text
 from ..runtime.text import InputError
-from ._motion import Springs, pull, springs
+from ._motion import Springs, pull, resistance, springs
 
 
 class Tableau(NamedTuple):
@@ -121,6 +121,14 @@ Stages = tuple[Array, State, State]  # slopes of all stages, and state and slope
 # that of further states, which have corners, and of all that moves among obstacles.
 _CAUTION, _CAUTION_AT_CORNERS = 100.0, 10.0
 
+# Of what joints resist by their way, as the angle by which they bear it: joints that swing fast and
+# hardly move turn round more often than a long step sees, and each turn leaves something behind.
+_CAUTION_AT_TURNS = 1000.0
+
+# A stage is solved where the last step of Newton's method moved no joint by more, rad; after as
+# many steps it is as good as it becomes.
+_NEAR, _MOST = 1e-6, 8
+
 # The error of a rate counts as the angle that it makes within a stage, or at least within a frame
 # of a camera (s). By itself it would decide the step alone: fast joints at the tip swing at rates
 # that hardly move the arm. After an impact the rate is what is wrong: among obstacles it counts as
@@ -155,11 +163,14 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             at the start of a step, its change is that of commands and drives alone.
         reverse: whether a step can be differentiated in reverse mode, which compiles the equation
             of motion twice.
+        resistance: torque of the joints (N m) that depends on their way alone, from time, state and
+            arguments; None where there is none. It is implicit without being linear.
     """
 
     springs: Callable[[Any, State, Any], Springs]
     pull: Callable[[Any, State, Any], Array]
     reverse: bool = eqx.field(static=True, default=True)
+    resistance: Callable[[Any, State, Any], Array | None] = resistance
 
     term_structure: ClassVar[Any] = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Any] = QuinticInterpolation
@@ -196,8 +207,8 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         # The order holds for every J, so that of the equation for a derivative holds with J
         # taken for a constant, too: that equation has J again, and terms that are not stiff.
         scale, springs = jax.lax.stop_gradient((gamma * step, self.springs(t0, y0, args)))
-        solve = self._solver(scale, springs)
-        pull_before = self.pull(t0, y0, args)
+        pull_before, resisted = self.pull(t0, y0, args), self.resistance(t0, y0, args)
+        solve = self._solver(scale, springs, linear=resisted is None)
         known, slope = solver_state
         # The slope at the start, which is that at the end of the step before as a rule, is that of
         # stage 0: in the loop of all stages the equation of motion is compiled once. A loop whose
@@ -208,14 +219,50 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             begin = 1
             slope = jax.lax.cond(anew, lambda: terms.vf(t0, y0, args), lambda: slope)
 
+        def resist(rates: Array, given: Any) -> Array:
+            """What resists more than at the start of the step, at the angles that rates lead to."""
+            known, _, time, y0, args, before = given
+            moved = known.at[0].add(scale * rates).at[1].set(rates)
+            return self.resistance(time, y0 + moved, args) - before
+
+        def better(rates: Array, given: Any) -> State:
+            """One step of Newton's method for a stage, from rates that are near."""
+            torque, softening = jax.jvp(
+                lambda x: resist(x, given), (rates,), (jnp.ones_like(rates),)
+            )
+            # What is linear of it is as a damper is; one that drives is none.
+            damper = jax.lax.stop_gradient(jnp.maximum(-softening, 0))
+            return solve(given[0], given[1] + torque + damper * rates, damper)
+
+        def found(rates: Array, given: Any) -> State:
+            """A stage with what resists by the way of the joints."""
+            stopped = jax.lax.stop_gradient(given)
+
+            def one(carried: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+                count, _, rates = carried
+                moved = better(rates, stopped)[1]
+                return count + 1, jnp.max(jnp.abs(scale * (moved - rates))), moved
+
+            start = jnp.asarray(0), jnp.asarray(jnp.inf, y0.dtype), jax.lax.stop_gradient(rates)
+            *_, rates = jax.lax.while_loop(
+                lambda carried: (carried[0] < _MOST) & (carried[1] > _NEAR), one, start
+            )
+            # The derivative of one more step is that of the solution.
+            return better(jax.lax.stop_gradient(rates), given)
+
         def advance(stage: Any, carried: Stages) -> Stages:
-            parts, *_ = carried
+            parts, last, _ = carried
             known_part = jnp.sum(combine[stage][..., None, None] * parts, axis=(0, 1))
             # Not beyond the end by rounding, where the next piece of the command may start.
             time = jnp.minimum(t0 + times[stage] * step, t1)
             pull = self.pull(time, y0, args) - pull_before
             # The end of the step is a sum, not a stage.
-            change = jnp.where(stage == end, known_part, solve(known_part, pull))
+            if resisted is None:
+                change = jnp.where(stage == end, known_part, solve(known_part, pull))
+            else:
+                given = known_part, pull, time, y0, args, resisted
+                near = last[1] - y0[1]
+                change = jax.lax.cond(stage == end, lambda: known_part, lambda: found(near, given))
             slope = terms.vf(time, y0 + change, args)
             # h f(Y) and h (J (Y - y0) + g)
             part = jnp.stack([step * slope, (change - known_part) / gamma])
@@ -233,13 +280,20 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             row = jnp.arange(len(y0))[:, None]
             of_rate = jnp.maximum(scale, _FRAME)
             weight = jnp.where(row == 1, _CAUTION * of_rate, jnp.where(row == 0, _CAUTION, weight))
+        if resisted is not None:
+            borne = jnp.concatenate([jnp.zeros_like(y0[:2]), springs.borne])
+            borne = jnp.pad(borne, ((0, len(y0) - len(borne)), (0, 0)))
+            weight = jnp.where(borne > 0, _CAUTION_AT_TURNS * borne, weight)
         y_error = weight * y_error
         return y1, y_error, dense, (jnp.asarray(True), f1), diffrax.RESULTS.successful
 
     @staticmethod
-    def _solver(scale: Scalar, springs: Springs) -> Callable[[State, Array], State]:
-        """What solves (1 - scale J) x = b + scale g, of b and the torque in g."""
-        mass, stiffness, damping, strain, contact = springs
+    def _solver(scale: Scalar, springs: Springs, linear: bool) -> Callable[..., State]:
+        """What solves (1 - scale J) x = b + scale g, of b and the torque in g.
+
+        Where that is not `linear`, J has further dampers (N m s/rad) each time.
+        """
+        mass, stiffness, damping, strain, contact, _ = springs
         spring = scale * stiffness
         damper = scale * (damping + spring)
         if strain is not None:
@@ -258,9 +312,9 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 resisting = resisting + stretching @ (scale * sticking)
             matrix = matrix + resisting
         # Seven stages, and as many for each derivative: products are cheaper than solutions.
-        inverse = inverse_of_positive(matrix)
+        inverse = inverse_of_positive(matrix) if linear else matrix
 
-        def solve(right_side: State, pull: Array) -> State:
+        def solve(right_side: State, pull: Array, further: Array | None = None) -> State:
             angles, rates, states = right_side[0], right_side[1], right_side[2:]
             held = spring * angles + damper * rates - scale * pull
             stretch = states[count:]
@@ -270,7 +324,11 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 held = held + stretching @ stretch.ravel()
             if strain is not None:
                 held = held + jnp.sum(torque * states[:count], axis=0)
-            rates = rates - inverse @ held
+            if further is None:
+                rates = rates - inverse @ held
+            else:
+                held = held + scale * further * rates
+                rates = rates - solution_of_positive(matrix + jnp.diag(scale * further), held)
             rows = [(angles + scale * rates)[None], rates[None]]
             if strain is not None:
                 rows.append(kept * (states[:count] + scale * strain.filling * rates[None]))

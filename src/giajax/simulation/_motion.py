@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from ..mechanics.arm import (
+    AbstractJointLaw,
     Arm,
     JointLaws,
     JointState,
@@ -98,6 +99,8 @@ class Inputs(eqx.Module):
         pressure: supplied to muscles over time, or None where their controller does.
         begin: the time of a wind field at 0 of all these times, s; None for 0.
         first: the time at which what drifts has not done so yet, s; None for 0.
+        since: when the step began that the motion is in, s, and the state then, where laws have
+            states by the way alone.
     """
 
     arm: Arm
@@ -108,6 +111,7 @@ class Inputs(eqx.Module):
     pressure: Pressures | None = None
     begin: Scalar | None = None
     first: Scalar | None = None
+    since: "tuple[Scalar, State] | None" = None
 
     def arm_at(self, time: Any) -> Arm:
         """The arm as it is by then."""
@@ -124,6 +128,24 @@ class Inputs(eqx.Module):
         """What the rows of a state are."""
         memory = 2 + self.arm.further_laws.rows
         return Parts(state[0], state[1], state[2:memory], state[memory:])
+
+    def follows(self, law: AbstractJointLaw) -> bool:
+        """Whether the states of a law are followed on their way within the step."""
+        return self.since is not None and law.slides
+
+    def followed(self, time: Any, state: "State") -> "State":
+        """The state with what laws have by the way from the beginning of the step alone.
+
+        Joints turned round where the cubic through both ends does. There is no corner of the
+        torque in time: at a turn the rate is 0.
+        """
+        if self.since is None:
+            return state
+        began, before = self.since
+        laws, way = self.arm.further_laws, way_between(time - began, before, state)
+        last = 2 + laws.rows
+        memory = laws.followed(way, before[2:last], state[2:last])
+        return jnp.concatenate([state[:2], memory, state[last:]])
 
     def at(
         self, laws: JointLaws, time: Any, angles: Array, rates: Array, states: Array | None
@@ -168,7 +190,7 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
     """Rates and accelerations of the joints, and how fast their other states change."""
     # A jump at the very end is no part of the motion, and would be bisected for nothing.
     time = jnp.minimum(time, inputs.end)
-    angles, rates, memory, skin = inputs.parts(state)
+    angles, rates, memory, skin = inputs.parts(inputs.followed(time, state))
     arm, wind = inputs.arm_at(time), inputs.wind
     laws = arm.joint_laws
     at = inputs.at(laws, time, angles, rates, memory)
@@ -188,6 +210,49 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
     return jnp.concatenate(rows)
 
 
+def turns(
+    step: Any, y0: Float[Array, "row joint"], y1: Float[Array, "row joint"]
+) -> Float[Array, "2 joint"]:
+    """After which parts of a step (s) joints turn round, in order; 1 where they do not.
+
+    By the cubic through angles (rad) and rates (rad/s), the first two rows of the states at both
+    ends, which turns twice at most.
+    """
+    a, b, v0, _ = slopes(step, y0, y1)
+    square = b * b - a * v0
+    two = square > 0
+    root = jnp.sqrt(jnp.where(two, square, 1))
+    far = -(b + jnp.where(b < 0, -root, root))
+    parts = []
+    # Both roots without the difference of large numbers.
+    for above, below in ((far, a), (v0, far)):
+        part = above / jnp.where(below == 0, 1, below)
+        parts.append(jnp.where(two & (below != 0) & (part > 0) & (part < 1), part, 1))
+    return jnp.sort(jnp.stack(parts), axis=0)
+
+
+def angle_after(
+    part: Float[Array, " joint"], step: Any, y0: Float[Array, "row joint"], y1: Any
+) -> Float[Array, " joint"]:
+    """Angles (rad) after a part of a step; arguments as of `turns`."""
+    a, b, v0, _ = slopes(step, y0, y1)
+    return y0[0] + part * (v0 + part * (b + part * a / 3))
+
+
+def slopes(step: Any, y0: Any, y1: Any) -> tuple[Array, Array, Array, Array]:
+    """Of the cubic, by the part x of the step: its slope is v0 + 2 b x + a x^2, and v1 at 1."""
+    moved, v0, v1 = y1[0] - y0[0], step * y0[1], step * y1[1]
+    return 3 * (v0 + v1 - 2 * moved), 3 * moved - 2 * v0 - v1, v0, v1
+
+
+def way_between(step: Any, y0: "State", y1: "State") -> Float[Array, "4 joint"]:
+    """Angles (rad) between which joints moved in one direction; arguments as of `turns`."""
+    # Where an angle is extreme it does not depend on when that was.
+    parts = jax.lax.stop_gradient(turns(step, y0, y1))
+    corners = [jnp.where(part < 1, angle_after(part, step, y0, y1), y1[0]) for part in parts]
+    return jnp.stack([y0[0], *corners, y1[0]])
+
+
 def along_links(arm: Arm, wind: Float[Array, " width"]) -> Array:
     """A wind as a signal has it, in a row for each link where it differs from link to link."""
     return wind if wind.size == 3 else wind.reshape(arm.count, 3)
@@ -202,6 +267,8 @@ class Springs(NamedTuple):
         damping: N m s/rad.
         memory: of states of the joints' laws, or None.
         contact: how torques of contact change with the angles and rates of all joints, or None.
+        borne: angle by which a joint bears a unit of each state that depends on its way alone, rad;
+            0 of others.
     """
 
     mass: Float[Array, "joint joint"]
@@ -209,6 +276,7 @@ class Springs(NamedTuple):
     damping: Float[Array, " joint"]
     memory: "Strain | None"
     contact: Stiffness | None
+    borne: Float[Array, "row joint"]
 
 
 class Strain(NamedTuple):
@@ -232,18 +300,27 @@ def springs(time: Any, state: State, inputs: Inputs) -> Springs:
     arm = inputs.arm_at(time)
     laws = arm.joint_laws
     at = inputs.at(laws, time, angles, rates, memory)
-    slopes = [law.slopes(own) for law, own in laws.each(at)]
+    none = (jnp.zeros_like(angles),) * 2
+    slopes: Any = [none if inputs.follows(law) else law.slopes(own) for law, own in laws.each(at)]
     # What runs away is explicit: the matrix of a pair, or of a law, need not be positive definite.
     if further := len(arm.joints.laws) + (arm.pneumatics is not None):
         slopes[-further:] = jax.tree.map(lambda x: jnp.maximum(x, 0), slopes[-further:])
     stiffness, damping = (
         functools.reduce(operator.add, each) for each in zip(*slopes, strict=True)
     )
-    strain = Strain(*laws.state_slopes(at)) if laws.rows else None
+    rows, borne = [], [jnp.zeros((0, arm.count), angles.dtype)]
+    for law, own in laws.each(at):
+        if law.rows:
+            zero, slopes = jnp.zeros_like(own.states), law.state_slopes(own)
+            rows.append((zero,) * 3 if inputs.follows(law) else slopes)
+            of_all = stiffness + law.stiffest(own)
+            borne.append(slopes[0] / of_all[None] if inputs.follows(law) else zero)
+    strain = Strain(*map(jnp.concatenate, zip(*rows, strict=True))) if rows else None
     contact = None
     if arm.contact is not None:
         contact = contact_stiffness(arm, angles, rates, skin if skin.size else None)
-    return Springs(mass_matrix(arm, angles), stiffness, damping, strain, contact)
+    mass = mass_matrix(arm, angles)
+    return Springs(mass, stiffness, damping, strain, contact, jnp.concatenate(borne))
 
 
 def pull(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"]:
@@ -253,10 +330,23 @@ def pull(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"]:
     # are: a derivative by a stiffness has spring and command in one small term, the deflection.
     arm, state = jax.lax.stop_gradient((inputs.arm_at(time), state))
     angles, rates, memory, _ = inputs.parts(state)
-    # Of the laws those that a command may move: the springs, those of one's own, and muscles.
-    further = arm.further_laws.laws[len(arm.joints.hysteresis.laws) :]
-    laws = JointLaws((Spring(arm.spring_stiffness), *further))
-    own = memory[len(memory) - laws.rows :]
     inputs = dataclasses.replace(inputs, arm=arm)
-    torque = laws.torque(inputs.at(laws, time, angles, rates, own))
+    # Of the laws those that a command may move: the springs, those of one's own, and muscles.
+    laws = arm.further_laws
+    at = inputs.at(laws, time, angles, rates, memory)
+    torque = Spring(arm.spring_stiffness).torque(at)
+    for law, own in tuple(laws.each(at))[len(arm.joints.hysteresis.laws) :]:
+        torque = torque if inputs.follows(law) else torque + law.torque(own)
     return torque if inputs.torque is None else torque + inputs.torque(time)
+
+
+def resistance(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"] | None:
+    """Torque of the laws with states by the way alone, N m; None where there are none."""
+    laws = inputs.arm.further_laws
+    if not inputs.follows(laws):
+        return None
+    time = jnp.minimum(time, inputs.end)
+    angles, rates, memory, _ = inputs.parts(inputs.followed(time, state))
+    at = inputs.at(laws, time, angles, rates, memory)
+    torques = (law.torque(own) for law, own in laws.each(at) if inputs.follows(law))
+    return functools.reduce(operator.add, torques)

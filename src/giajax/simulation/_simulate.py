@@ -212,7 +212,9 @@ def integrate(
             mobility = jax.lax.stop_gradient(jnp.linalg.inv(mass_matrix(arm, state[0])))
     controller: Any = stepsize_controller
     if not isinstance(controller, diffrax.StepTo):
-        turning = arm.joints.further_laws.rows > 0
+        # Those with states by the way alone are followed from turn to turn within a step.
+        own = arm.joints.further_laws.laws
+        turning = any(law.rows > 0 and not law.slides for law in own)
         controller = step_size_controller(
             method,
             rtol,
@@ -246,8 +248,7 @@ def integrate(
         times=times,
         angles=angles,
         rates=rates,
-        # Within a step sliding elements have not caught up yet.
-        memory=jax.vmap(laws.return_mapped)(angles, memory) if laws.rows else None,
+        memory=memory if laws.rows else None,
         pressures=jax.vmap(moved.inside)(times, memory),
         skin=skin if skin.size else None,
         arm=arm,

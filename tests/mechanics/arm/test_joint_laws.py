@@ -396,9 +396,19 @@ class Misled(Creep):
         return -_held(at.states[0])
 
 
+class Astray(Memory):
+    """Twice as far along its way as its rate says."""
+
+    strength: jax.Array = parameter(0.2, unit="N m", doc="torque")
+
+    def travelled(self, begin, end, states):
+        return super().travelled(begin, 2 * end - begin, states)
+
+
 @pytest.mark.parametrize(
     ("law", "said"),
     [
+        (Astray(), "Astray.travelled is not what Astray.rate comes to after a short way at"),
         (Shapeless(), r"Shapeless.torque returns the shape \(\) for 4 joints: return \(4,\)"),
         (Coupled(), "Coupled.torque depends on another joint at .*: compute each joint from its"),
         (Tethered(), "Tethered.torque depends on another joint at"),

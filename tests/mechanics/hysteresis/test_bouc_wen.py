@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 from giajax import InputError
-from giajax.mechanics.hysteresis import BoucWen, BoucWenOscillator, bouc_wen_rate
+from giajax.mechanics.hysteresis import BoucWen, BoucWenOscillator, bouc_wen_after, bouc_wen_rate
 
 
 def operator(**changed):
@@ -164,3 +165,42 @@ def test_bad_numbers_of_steps_are_refused():
         BoucWen(substeps=0)
     with pytest.raises(InputError, match="choose 1, 2, 4, 8 or 16"):
         BoucWenOscillator(steps=3)
+
+
+@pytest.mark.parametrize("nu", [1.0, 1.3, 2.0, 6.0])
+@pytest.mark.parametrize("delta", [0.0, 0.5, -0.6])
+def test_z_after_a_way_is_that_of_its_equation(nu, delta):
+    rng = np.random.default_rng(round(10 * nu))
+    starts = rng.uniform(-1, 1, 6)
+    ways = rng.choice([-1, 1], 6) * rng.exponential(2.0, 6)
+
+    def equation(_, z, sign):
+        return sign - (1 - delta) * abs(z) ** (nu - 1) * z - delta * sign * abs(z) ** nu
+
+    expected = [
+        solve_ivp(equation, (0, abs(w)), [z], args=(np.sign(w),), rtol=1e-10, atol=1e-12).y[0, -1]
+        for z, w in zip(starts, ways, strict=True)
+    ]
+    given = [jnp.asarray(each) for each in (ways, starts, nu, delta)]
+    dahl = nu == 1 and delta == 0
+    assert_allclose(bouc_wen_after(*given), expected, rtol=0, atol=1e-9 if dahl else 5e-5)
+
+    # By nu and delta, too, where the value itself is of a closed form that has neither.
+    for index, step in enumerate([1e-6, 1e-6, 1e-5, 1e-6]):
+
+        def by(x, index=index):
+            return bouc_wen_after(*given[:index], x, *given[index + 1 :])
+
+        one = jnp.ones_like(given[index])
+        far, near = by(given[index] + 2 * step * one), by(given[index] + step * one)
+        slope = (far - near) / step
+        assert_allclose(jax.jvp(by, (given[index],), (one,))[1], slope, rtol=0, atol=2e-4)
+
+
+def test_nothing_moves_without_a_way():
+    """Where a motion begins both sides have their own slope, and neither is NaN."""
+    still, z = jnp.zeros(1), jnp.asarray([0.4])
+    nu, delta = jnp.asarray(1.0), jnp.asarray(0.0)
+    value, slope = jax.jvp(lambda way: bouc_wen_after(way, z, nu, delta), (still,), (still + 1,))
+    assert_allclose(value, z)
+    assert_allclose(slope, 1 - z)

@@ -2,6 +2,7 @@
 
 import abc
 import functools
+import itertools
 import operator
 from collections.abc import Callable, Iterator
 from typing import ClassVar, NamedTuple, TypeVar
@@ -16,7 +17,7 @@ from ...runtime.plugins import optional, register
 from ...runtime.text import InputError
 from ...schema import JOINT_MEMORY, JOINT_STOPS
 from ...schema.parameters import parameter
-from ..hysteresis import bouc_wen_rate
+from ..hysteresis import bouc_wen_after, bouc_wen_rate
 
 PerJoint = Float[Array, " joint"]
 Each = Float[Array, ""] | PerJoint
@@ -116,6 +117,16 @@ class AbstractJointLaw(eqx.Module):
         return states
 
     @optional
+    def travelled(self, begin: PerJoint, end: PerJoint, states: States) -> States:
+        """The states after a motion between these angles (rad) in which no joint turned round.
+
+        Of a law whose states depend on the way alone, however fast it is: solvers follow it then
+        from turn to turn, and their steps need not end there. By default `return_mapped`.
+        """
+        del begin
+        return self.return_mapped(end, states)
+
+    @optional
     def slopes(self, at: JointState) -> tuple[PerJoint, PerJoint]:
         """Stiffness (N m/rad) and damping (N m s/rad), at constant states: how the torque falls."""
         stiffness = slope(lambda x: self.torque(at._replace(angles=x)), at.angles)
@@ -167,8 +178,10 @@ class AbstractJointLaw(eqx.Module):
     @property
     @optional
     def slides(self) -> bool:
-        """Whether states have to be `return_mapped`."""
-        return type(self).return_mapped is not AbstractJointLaw.return_mapped
+        """Whether states depend on the way alone: those with `travelled`, or without a rate."""
+        own, given = type(self), AbstractJointLaw
+        mapped = own.return_mapped is not given.return_mapped and own.rate is given.rate
+        return own.travelled is not given.travelled or mapped
 
 
 def slope(of: Callable[[Array], Array], at: Array) -> Array:
@@ -191,7 +204,7 @@ class JointLaws(AbstractJointLaw):
 
     @property
     def slides(self) -> bool:
-        """Whether states of one have to be `return_mapped`."""
+        """Whether states of one depend on the way alone."""
         return any(law.slides for law in self.laws if law.rows)
 
     @property
@@ -255,6 +268,22 @@ class JointLaws(AbstractJointLaw):
         parts = self.each(JointState(angles, angles, angles, states))
         mapped = [law.return_mapped(angles, own.states) for law, own in parts if law.rows]
         return jnp.concatenate(mapped) if mapped else states
+
+    def followed(self, way: Float[Array, "corner joint"], held: States, states: States) -> States:
+        """The states after a way by corners (rad), of those that depend on it alone.
+
+        They are `held` at its beginning; `states` are those of the others, at its end.
+        """
+        mapped, row = [states[:0]], 0
+        for law, own in self.each(JointState(way[-1], way[-1], way[-1], states)):
+            after = law.return_mapped(way[-1], own.states)
+            if law.slides:
+                after = held[row : row + law.rows]
+                for begin, end in itertools.pairwise(way):
+                    after = law.travelled(begin, end, after)
+            mapped.append(after)
+            row += law.rows
+        return jnp.concatenate(mapped)
 
     def state_slopes(self, at: JointState) -> tuple[States, States, States]:
         """How torques and states depend on each other, law after law."""
@@ -464,6 +493,11 @@ class Memory(AbstractJointLaw):
         one, gamma = jnp.ones(()), 1 - self.delta
         rate = bouc_wen_rate(at.rates, at.states[0], one, one, gamma, self.delta, self.nu)
         return (rate / self.yield_angle)[None]
+
+    def travelled(self, begin: PerJoint, end: PerJoint, states: States) -> States:
+        """The states after a motion between these angles (rad) in one direction."""
+        way = (end - begin) / self.yield_angle
+        return bouc_wen_after(way, states[0], self.nu, self.delta)[None]
 
     def stiffest(self, at: JointState) -> PerJoint:
         """That of an element which slid, at the turn, N m/rad."""

@@ -79,6 +79,7 @@ def _check_shapes(law: AbstractJointLaw, joints: int) -> None:
         "energy": ((at,), each),
         "rate": ((at,), states),
         "return_mapped": ((each, states), states),
+        "travelled": ((each, each, states), states),
         "slopes": ((at,), (each, each)),
         "state_slopes": ((at,), (states,) * 3),
         "stiffest": ((at,), each),
@@ -226,6 +227,9 @@ def _found(law: AbstractJointLaw, at: JointState) -> dict[str, Any]:
     after = at._replace(angles=at.angles + _STEP * at.rates)
     rate = law.rate(after._replace(states=at.states + _STEP * here["rate"]))
     states = at.states + _STEP / 2 * (here["rate"] + rate)
+    passed = {}
+    if type(law).travelled is not AbstractJointLaw.travelled:
+        passed["travelled"] = law.travelled(at.angles, after.angles, at.states), states
     after = after._replace(states=law.return_mapped(after.angles, states))
     return {
         "values": here,
@@ -237,6 +241,7 @@ def _found(law: AbstractJointLaw, at: JointState) -> dict[str, Any]:
         "dissipation": (law.dissipation(at), law.dissipation(after)),
         "falling": law.slopes(at),
         "stiffest": law.stiffest(at),
+        **passed,
     }
 
 
@@ -273,6 +278,11 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
             refuse(method, f"{what} that of differences", wrong, "correct its rule, or remove it")
     moves = found["slopes"]["rates"][0]["energy"] != 0
     refuse("energy", "depends on the rate", moves, "store by angle, command and states alone")
+    if "travelled" in found:
+        followed, states = (each - at.states for each in found["travelled"])
+        wrong = np.abs(followed - states) > _SLOPES * largest(states)
+        what = f"is not what {name}.rate comes to after a short way"
+        refuse("travelled", what, wrong, "correct one of them, or remove it")
     stiffness, stiffest = found["falling"][0], found["stiffest"]
     within = np.abs(at.angles) <= law.largest_angle
     wrong = within & (stiffest < stiffness - 1e-6 * largest(stiffness)) | ~np.isfinite(stiffest)

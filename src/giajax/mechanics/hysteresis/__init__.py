@@ -4,6 +4,7 @@ from ._bouc_wen import (
     MOST_STEPS as MOST_STEPS,
     BoucWen as BoucWen,
     BoucWenOscillator as BoucWenOscillator,
+    bouc_wen_after as bouc_wen_after,
     bouc_wen_rate as bouc_wen_rate,
 )
 from ._branches import (
