@@ -127,7 +127,7 @@ _CAUTION_AT_TURNS = 1000.0
 
 # A stage is solved where the last step of Newton's method moved no joint by more, rad; after as
 # many steps it is as good as it becomes.
-_NEAR, _MOST = 1e-6, 8
+_NEAR, _MOST = 1e-8, 10
 
 # The error of a rate counts as the angle that it makes within a stage, or at least within a frame
 # of a camera (s). By itself it would decide the step alone: fast joints at the tip swing at rates
@@ -225,14 +225,14 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             moved = known.at[0].add(scale * rates).at[1].set(rates)
             return self.resistance(time, y0 + moved, args) - before
 
-        def better(rates: Array, given: Any) -> State:
+        def better(rates: Array, given: Any, at: Array | None = None) -> State:
             """One step of Newton's method for a stage, from rates that are near."""
             torque, softening = jax.jvp(
                 lambda x: resist(x, given), (rates,), (jnp.ones_like(rates),)
             )
             # What is linear of it is as a damper is; one that drives is none.
             damper = jax.lax.stop_gradient(jnp.maximum(-softening, 0))
-            return solve(given[0], given[1] + torque + damper * rates, damper)
+            return solve(given[0], given[1] + torque + damper * rates, damper, at)
 
         def found(rates: Array, given: Any) -> State:
             """A stage with what resists by the way of the joints."""
@@ -247,8 +247,10 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             *_, rates = jax.lax.while_loop(
                 lambda carried: (carried[0] < _MOST) & (carried[1] > _NEAR), one, start
             )
-            # The derivative of one more step is that of the solution.
-            return better(jax.lax.stop_gradient(rates), given)
+            # The derivative of one more step is that of the solution, and has to be taken where the
+            # equation of motion has its own: beyond a turn it is another one.
+            rates = jax.lax.stop_gradient(rates)
+            return better(rates, given, rates)
 
         def advance(stage: Any, carried: Stages) -> Stages:
             parts, last, _ = carried
@@ -291,7 +293,8 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
     def _solver(scale: Scalar, springs: Springs, linear: bool) -> Callable[..., State]:
         """What solves (1 - scale J) x = b + scale g, of b and the torque in g.
 
-        Where that is not `linear`, J has further dampers (N m s/rad) each time.
+        Where that is not `linear`, J has further dampers (N m s/rad) each time. With rates `at`
+        which x is known it has the derivatives of x alone.
         """
         mass, stiffness, damping, strain, contact, _ = springs
         spring = scale * stiffness
@@ -314,7 +317,12 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         # Seven stages, and as many for each derivative: products are cheaper than solutions.
         inverse = inverse_of_positive(matrix) if linear else matrix
 
-        def solve(right_side: State, pull: Array, further: Array | None = None) -> State:
+        def solve(
+            right_side: State,
+            pull: Array,
+            further: Array | None = None,
+            at: Array | None = None,
+        ) -> State:
             angles, rates, states = right_side[0], right_side[1], right_side[2:]
             held = spring * angles + damper * rates - scale * pull
             stretch = states[count:]
@@ -329,6 +337,8 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             else:
                 held = held + scale * further * rates
                 rates = rates - solution_of_positive(matrix + jnp.diag(scale * further), held)
+            if at is not None:
+                rates = at + (rates - jax.lax.stop_gradient(rates))
             rows = [(angles + scale * rates)[None], rates[None]]
             if strain is not None:
                 rows.append(kept * (states[:count] + scale * strain.filling * rates[None]))
