@@ -190,7 +190,7 @@ _FEWEST_BLOCKS = 4  # blocks, at least, for a statement on them
 _FEWEST_VALUES = 32  # cells of a series, at least, for a statement on it alone
 
 
-_FAR_BELOW = 2.0  # times smaller than the stated noise: a little too cautious a statement may be
+_FAR_BELOW = 3.0  # times smaller than the stated noise: that of a data sheet is often cautious
 
 
 def beyond_stated(series: Sequence[Series]) -> Reason | None:
