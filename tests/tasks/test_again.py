@@ -93,6 +93,19 @@ def test_it_is_found_beside_its_result(path, tmp_path, monkeypatch):
         here.rename(tmp_path)
 
 
+def test_what_was_recorded_of_no_checksum_stays_where_its_name_says(path, tmp_path):
+    written(FitTask.load(path), check=False)
+    folder = tmp_path / "giajax-out" / "loops_fit"
+    stored = json.loads((folder / "result.json").read_text())
+    del stored["task"]["inputs"][path]
+    (folder / "result.json").write_text(json.dumps(stored))
+    for file in tmp_path.glob("*.csv"):
+        file.rename(folder / file.name)
+    again = FitTask.again(folder)
+    assert str(again.source) == path
+    assert [file.parent for file in again.data] == [folder]
+
+
 @pytest.fixture(scope="module")
 def unfinished(tmp_path_factory):
     """A folder with what was fitted, and in `out` a fit that ended early, with its journal."""

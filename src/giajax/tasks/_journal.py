@@ -84,7 +84,7 @@ def _places(record: Mapping[str, Any], folder: Path) -> Callable[[str], Path]:
     there = [base for base in bases if all((base / name).exists() for name in names)]
     found = {n: moved_to(n, record["inputs"][n], folder) for n in names} if not there else {}
     if found and None not in found.values():
-        return lambda name: found[name] or Path(name)
+        return lambda name: found.get(name) or Path(name)
     if not there:
         missing = next(name for name in names if not (bases[0] / name).exists())
         raise InputError(
