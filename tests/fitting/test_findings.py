@@ -1,6 +1,7 @@
 """What the data cannot tell, against models of which it is known."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,18 @@ def coded(result):
 
 def test_a_good_fit_has_none():
     assert fit(Decay(), run(), noise_model="white").findings == ()
+
+
+def test_outliers_of_a_window_are_named_by_time():
+    """Its rows are not counted from the first one of the file."""
+    whole = run(samples=200)
+    values = whole.values["tip_z"].copy()
+    values[[70, 150]] += 1.0
+    whole = replace(whole, name="drop", path=Path("drop.csv"), values={"tip_z": values})
+    part = replace(whole, name="drop 2 s", times=whole.times[60:], values={"tip_z": values[60:]})
+    for recorded, where in (whole, "tip_z in row 72, 152"), (part, "tip_z at 1.407035, 3.015075 s"):
+        finding = coded(fit(Decay(), recorded, noise_model="white"))["outliers"]
+        assert finding.sentence.endswith(where)
 
 
 def test_what_has_no_response_is_named():

@@ -112,9 +112,13 @@ def _outliers(state: FitState) -> Iterator[Finding]:
             # What is missing in a part of the motion is off in rows that follow each other.
             scattered = np.count_nonzero(np.diff(out) == 1) <= len(out) / 2
             if 0 < len(out) <= _MOST_OUT * len(known) and scattered:
-                rows = ", ".join(run.naming.at(row).rpartition(" ")[2] for row in out[:5])
                 more = f" and {len(out) - 5} more" if len(out) > 5 else ""
-                said.append(f"{name} in {run.naming.row} {rows}{more}")
+                if run.times is None or run.name == run.recording:
+                    rows = ", ".join(run.naming.at(row).rpartition(" ")[2] for row in out[:5])
+                    said.append(f"{name} in {run.naming.row} {rows}{more}")
+                else:  # a window, which does not know its first row
+                    times = ", ".join(f"{time:.7g}" for time in run.times[out[:5]])
+                    said.append(f"{name} at {times} s{more}")
         if said:
             yield Finding(
                 "outliers",
