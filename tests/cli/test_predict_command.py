@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from test_fit_command import giajax
 
+import small_loops
 from giajax.fitting import fit, load_result, predict
 from giajax.mechanics.arm import takeichi_20m
 from giajax.models import ArmModel, as_stated
-from giajax.recordings import Definition, read_run, write_run
+from giajax.recordings import Definition, read_run, read_runs, write_run
 from giajax.report import write_result
 from giajax.schema.parameters import as_in, get, left_out, parameter, replace
+from giajax.tasks import FitTask
 from small_arm import LINKS, NOISE, TRUTH, make_run
 
 
@@ -129,3 +131,19 @@ def test_without_on_the_command_line(filmed):
     assert status == 2
     assert "nothing called 'cam': give air, base_rotation, camera" in error
     assert error.count("\n") == 1
+
+
+def test_names_of_the_fit_are_no_others_of_another_recording(tmp_path):
+    """Input and output were exchanged in the fitted file alone."""
+    task = FitTask.load(small_loops.write_task(tmp_path))
+    file, other = tmp_path / "loops.csv", tmp_path / "other.csv"
+    file.write_text(file.read_text().replace("input,output", "output,input"))
+    exchanged = {"input": "output", "output": "input"}
+    task = task.on_top(data=[file], validation=[], rename=exchanged)
+    runs = read_runs(task.data, task.definition, rename=task.rename)
+    write_result(task.run(check=False), runs, tmp_path / "fit", figures=False)
+    for path, said in (other, ""), (file, "as in the fit: input as output, output as input\n"):
+        _, out, error = giajax("predict", "--model", tmp_path / "fit", "--data", path)
+        assert float(out.splitlines()[1].split()[3]) < 0.01
+        assert error.endswith(said)
+        assert bool(error) == bool(said)

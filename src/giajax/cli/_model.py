@@ -173,6 +173,33 @@ def _bounds(lower: float | None, upper: float | None) -> str:
     return above if upper is None else f"below {upper:g}"
 
 
+def _as_fitted(stored: dict[str, Any], data: Sequence[Path]) -> dict[str, str]:
+    """Columns of a fit under other names that these files have, too.
+
+    A name that has a meaning of its own may be right in another file than those that were fitted.
+    """
+    from ..recordings import column_names, parse_column
+    from ..tasks import checksums_of
+
+    there = set.intersection(*(set(column_names(path)) for path in data))
+    renamed = (stored.get("task") or {}).get("rename", {})
+    renamed = {old: new for old, new in renamed.items() if old in there}
+    if not renamed:
+        return {}
+    known = (*stored["runs"], *stored.get("held_out", ()))
+    fitted = {run.get("sha256") for run in known}
+    if all(checksums_of([path])[str(path)] in fitted for path in data):
+        return renamed
+
+    def has_meaning(name: str) -> bool:
+        try:
+            return bool(parse_column(name))
+        except InputError:
+            return False
+
+    return {old: new for old, new in renamed.items() if not has_meaning(old)}
+
+
 @command("""\b
 Examples:
   giajax predict --model giajax-out/run --data other.csv
@@ -210,7 +237,6 @@ def predict(
     from ..recordings import (
         Definition,
         check_output_files,
-        column_names,
         parse_rename,
         read_runs,
         run_keys,
@@ -234,13 +260,10 @@ def predict(
 
     renamed = parse_rename(rename or [])
     if not rename and is_result(model) and model.exists():
-        # Columns that are called as in the fit, where they are.
-        task = stored_result(model)[1].get("task") or {}
-        renamed = {
-            old: new
-            for old, new in task.get("rename", {}).items()
-            if all(old in column_names(path) for path in data)
-        }
+        renamed = _as_fitted(stored_result(model)[1], data)
+        if renamed:
+            said = ", ".join(f"{old} as {new}" for old, new in renamed.items())
+            typer.echo(f"columns are read as in the fit: {said}", err=True)
 
     def runs_for(source: Path) -> "list[Run]":
         return read_runs(data, definition_of(source).merged_with(settings), rename=renamed)
