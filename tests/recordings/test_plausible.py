@@ -271,6 +271,52 @@ def test_a_right_recording_gets_no_note(name):
         assert found(*right(name, np.random.default_rng(seed))) == []
 
 
+# Right runs that look like a mistake at first sight, by what is unusual in them.
+
+
+def noisy(values, deviation, seed=0):
+    return values + np.random.default_rng(seed).normal(scale=deviation, size=np.shape(values))
+
+
+def stepping(times, base, **more):
+    """Two links of 1 m whose first joint has gone by `base` (rad), seen within 5 mm."""
+    columns = {"time_s": times, **more}
+    for link, out in (1, 0.5), (2, 1.5):
+        columns[f"link{link:02d}_x_m"] = noisy(out * np.cos(base), 0.005, link)
+        columns[f"link{link:02d}_z_m"] = noisy(out * np.sin(base), 0.005, link + 2)
+    return columns, {"arm": {"links": 2, "link_length_m": 1.0}, "noise": {"position_m": 0.005}}
+
+
+def constant_command():
+    times = 0.05 * np.arange(200)
+    base = np.deg2rad(30) * (1 - np.exp(-times))
+    return stepping(times, base, joint01_command_deg=np.full(200, 30.0))
+
+
+def command_from_the_first_row():
+    times = 0.05 * np.arange(400)
+    later = np.where(times < 10, 0.0, 1 - np.exp(10 - times))
+    base = np.deg2rad(30) * (1 - np.exp(-times)) + np.deg2rad(20) * later
+    command = np.where(times < 10, 30.0, 50.0)
+    return stepping(times, base, joint01_command_deg=command)
+
+
+def command_beside_a_constant_one():
+    times = 0.05 * np.arange(200)
+    base = np.deg2rad(30) * (1 - np.exp(-times))
+    second = np.where(times < 5, 0.0, 2.0)
+    return stepping(times, base, joint01_command_deg=np.full(200, 30.0), joint02_command_deg=second)
+
+
+RIGHT = [constant_command, command_from_the_first_row, command_beside_a_constant_one]
+
+
+@quick
+@pytest.mark.parametrize("made", RIGHT, ids=lambda made: made.__name__)
+def test_a_right_recording_that_is_unusual_gets_no_note(made):
+    assert found(*made()) == []
+
+
 @pytest.mark.long
 def test_of_many_recordings_most_mistakes_are_named_and_no_right_one_is_accused():
     for name in ALL:

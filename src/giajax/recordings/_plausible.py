@@ -91,7 +91,7 @@ def _before_commands(look: Look) -> Iterator[Oddity]:
         return
     moving = []
     for name, cells in look.measured.items():
-        early = cells.values[cells.rows < max(look.still, 0)]
+        early = cells.values[cells.rows < look.still]
         if cells.channel.quantity in ("acceleration", "angular_velocity") or len(early) < 6:
             continue
         third = max(len(early) // 3, 2)
@@ -255,7 +255,7 @@ def _pose_of(look: Look) -> _Pose | None:
         inside = np.minimum(_within(bounds), len(cells.rows) - 1)
         middle = np.median(cells.values[inside], axis=1)
         columns.append(scale * np.where(np.diff(bounds) > 0, middle, np.nan))
-        early = cells.values[cells.rows < min(max(look.still, 1), 1000)]
+        early = cells.values[cells.rows < min(look.still, 1000)]
         first.append(scale * np.median(early) if len(early) else np.nan)
         noise.append(scale * max(run.noise(name) or 0.0, cells.noise))
     if not points:
@@ -371,13 +371,16 @@ def _exchanged(pose: _Pose) -> Iterator[_Undone]:
 
 def _farther_in(pose: _Pose) -> Iterator[_Undone]:
     """A link that turns as far as a command, though all commanded joints are farther out."""
-    turning = [joint for joint in pose.joints if np.ptp(pose.angles[:, joint]) > 0]
+    # From the straight arm, where a command may be another one from the first row on.
+    spans = np.ptp(np.pad(pose.angles, ((1, 0), (0, 0))), axis=0)
+    turning = [joint for joint in pose.joints if spans[joint] > 0]
     for i, point in enumerate(pose.points):
-        if point.component not in (1, 2) or not turning or point.link >= min(turning):
+        inner = turning and point.link < min(turning)
+        if point.component not in (1, 2) or not inner or np.isnan(pose.first[i]):
             continue
         along = float(np.sum(pose.lengths[: point.link])) + pose.lengths[point.link] / 2
         turned = np.nanmax(np.abs(pose.recorded[:, i] - pose.first[i])) / along
-        far = 0.5 * float(np.max(np.ptp(pose.angles, axis=0)))
+        far = 0.5 * float(np.max(spans))
         if turned > max(far, 10 * pose.noise[i] / along):
             name = f"joint{min(turning) + 1:02d}_command"
             yield _Undone(

@@ -129,11 +129,16 @@ class Look:
 
     @cached_property
     def still(self) -> int:
-        """First rows in which no command changes; all where there is none."""
-        inputs = [v for v in self.run.commands.values() if v.dtype != object]
-        moved = [np.flatnonzero(values != values[0])[:1] for values in inputs]
-        length = len(next(iter(self.run.values.values())))
-        return int(min([length, *(int(each[0]) for each in moved if each.size)]))
+        """First rows in which no command changes; the first alone where the arm moves from it."""
+        inputs = {n: v for n, v in self.run.commands.items() if v.dtype != object}
+        moved = [np.flatnonzero(values != values[0])[:1] for values in inputs.values()]
+        # A joint that is commanded away from zero in the first row goes there from it.
+        steps = any(
+            self.run.channels[name].kind == "joint_command"
+            and abs(values[0]) > 0.05 * np.max(np.abs(values))
+            for name, values in inputs.items()
+        )
+        return 1 if steps else int(min((each[0] for each in moved if each.size), default=1))
 
 
 # Cells: what stands for nothing measured, glitches, and angles that wrap.
