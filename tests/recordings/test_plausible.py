@@ -308,7 +308,44 @@ def command_beside_a_constant_one():
     return stepping(times, base, joint01_command_deg=np.full(200, 30.0), joint02_command_deg=second)
 
 
-RIGHT = [constant_command, command_from_the_first_row, command_beside_a_constant_one]
+def following(*degrees, rows=30):
+    """An arm that has reached each command in the row in which it changes."""
+    command = np.repeat(np.array(degrees, dtype=float), rows)
+    times = 2.0 * np.arange(len(command))
+    columns, definition = stepping(times, np.deg2rad(command), joint01_command_deg=command)
+    columns["joint01_angle_deg"] = noisy(command, 0.1, 7)
+    return columns, definition
+
+
+def there_and_back():
+    return following(0, 30, 0)
+
+
+def there_and_back_again():
+    return following(0, 30, 0, 30, 0)
+
+
+def rest_at_zero():
+    """An angle that is shown in whole degrees, of a joint that turns by 30 deg at once."""
+    columns, definition = following(0, 30, 30, 30)
+    columns["joint01_angle_deg"] = np.round(columns["joint01_angle_deg"])
+    columns["joint01_angle_deg"][40:] = noisy(30.0 * np.ones(80), 0.5)
+    return columns, definition
+
+
+def limit_of_a_sensor():
+    """Two blows, in each of which the sensor shows the most that it can for some rows."""
+    angle = noisy(np.zeros(200), 0.1)
+    angle[60:66] = angle[120:125] = 45.0
+    arm = {"preset": "pendulum", "links": 1, "link_length_m": 1.0, "link_mass_kg": 0.1}
+    columns = {"time_s": 0.04 * np.arange(200), "joint01_angle_deg": angle}
+    return columns, {"arm": arm, "initial": {"first_row": True, "free": True}}
+
+
+RIGHT = [
+    constant_command, command_from_the_first_row, command_beside_a_constant_one, rest_at_zero,
+    limit_of_a_sensor, there_and_back, there_and_back_again,
+]  # fmt: skip
 
 
 @quick

@@ -144,18 +144,22 @@ class Look:
 # Cells: what stands for nothing measured, glitches, and angles that wrap.
 
 _STANDS_FOR_NOTHING = (99, 999, 9999, 99999, 999999, 32767, 32768, 65535, 8888, 7777)
+_IMPULSIVE = ("acceleration", "angular_velocity")  # an impact is a single cell of these
 _FAR = 3.0  # spans of the other values that such a value is away from them
 
 
 def sentinels(look: Look) -> Iterator[Oddity]:
-    """Values such as -9999 far from all others; others of that kind are there more than once."""
+    """Values such as -9999 far from all others; other ones more than once, each between others."""
     for name, cells in look.measured.items():
         for value in (np.min(cells.values), np.max(cells.values)):
             here = cells.values == value
             count, rest = int(np.count_nonzero(here)), cells.values[~here]
             recorded = round(float(cells.channel.from_si(value)), 6)
             known = abs(recorded) in _STANDS_FOR_NOTHING
-            if len(rest) < _FEW or not (known or count > 1):
+            # Rest is shown as one value, and so is what is beyond the range of a sensor.
+            apart = value != 0 and not (here[0] or here[-1] or np.any(here[1:] & here[:-1]))
+            apart = apart and cells.channel.quantity not in _IMPULSIVE
+            if len(rest) < _FEW or not (known or (count > 1 and apart)):
                 continue
             span = float(np.ptp(rest))
             away = float(np.min(np.abs(rest - value)))
@@ -235,8 +239,7 @@ _AROUND = np.array([-4, -3, -2, -1, 1, 2, 3, 4])
 def glitches(look: Look) -> Iterator[Oddity]:
     """Single cells far beyond the cells around them, which are near each other."""
     for name, cells in look.measured.items():
-        # What an accelerometer shows of an impact is a single cell, too.
-        if cells.channel.quantity in ("acceleration", "angular_velocity"):
+        if cells.channel.quantity in _IMPULSIVE:
             continue
         # Zeros are lost cells, if anything.
         keep = cells.values != 0
@@ -278,6 +281,7 @@ def takes(look: Look) -> Iterator[Oddity]:
     if look.times is None or not moving:
         return
     common: set[int] | None = None
+    jumped: list[set[int]] = []
     for each in moving:
         x, rows = each.values, each.rows
         steps = np.diff(x)
@@ -292,16 +296,28 @@ def takes(look: Look) -> Iterator[Oddity]:
         jumps = jumps[jumps < len(x) - _FEW]
         near = max(0.1 * float(high - low), 5 * each.noise)
         again = np.abs(x[jumps[:, None] + np.arange(_FEW)] - x[:_FEW]).max(axis=1, initial=0) < near
+        jumped.append(set(rows[jumps].tolist()))
         found = set(rows[jumps[again]].tolist())
         common = found if common is None else common & found
     inputs = [v for v in look.run.commands.values() if v.dtype != object and np.ptp(v) > 0]
-    # What is recorded at the row at which a command jumps has had no time to follow it.
-    at = [
-        row
-        for row in sorted(common or ())
-        if all(abs(v[row] - v[0]) <= 1e-3 * np.ptp(v) for v in inputs)
-        and (not inputs or any(abs(v[row - 1] - v[0]) > 0.05 * np.ptp(v) for v in inputs))
-    ]
+    # What is recorded in the row in which a command jumps has no time to follow it, or it follows
+    # each of them so.
+    large = [np.flatnonzero(np.abs(np.diff(v)) > 0.05 * np.ptp(v)) + 1 for v in inputs]
+    elsewhere = {int(row) for rows in large for row in rows} - (common or set())
+    follows = bool(elsewhere.intersection(*jumped))
+    begins = any(np.ptp(each.values[: 5 * _FEW]) > 10 * each.noise for each in moving)
+    paces = np.diff(look.times)
+
+    def begins_again(row: int) -> bool:
+        leaps = bool(paces[row - 1] > 3 * np.median(paces))
+        if not inputs:
+            return begins or leaps
+        n = 1 if leaps else min(look.still + _FEW, len(paces) + 1 - row)
+        same = (np.abs(v[row : row + n] - v[:n]).max() <= 1e-3 * np.ptp(v) for v in inputs)
+        back = any(abs(v[row - 1] - v[0]) > 0.05 * np.ptp(v) for v in inputs)
+        return all(same) and back and (leaps or (n > look.still and not follows))
+
+    at = [row for row in sorted(common or ()) if begins_again(row)]
     if at:
         yield Oddity(
             "take",
