@@ -214,7 +214,7 @@ MISTAKES = {
     sentinel: ("lost cells", ["base_step", "pendulum", "muscle", "joint"]),
     glitches: ("glitches", ["base_step", "pendulum", "muscle", "joint"]),
     origin: ("frame", ["base_step", "pitch_yaw"]),
-    frames: ("time", ["base_step", "pendulum"]),
+    frames: ("time", ["pendulum"]),
     milliseconds: ("units", ["base_step", "pendulum"]),
     wrong_joint: ("command", ["base_step"]),
     take: ("take", ["base_step", "pendulum"]),
@@ -342,7 +342,19 @@ def limit_of_a_sensor():
     return columns, {"arm": arm, "initial": {"first_row": True, "free": True}}
 
 
+def slow_log(step=1.0):
+    """An arm that creeps to where it is commanded, once a second or more seldom."""
+    times = step * np.arange(300)
+    base = np.deg2rad(30) * (1 - 0.5 * np.exp(-times / (20 * step))) * (times > 0)
+    return stepping(times, base, joint01_command_deg=np.full(300, 30.0))
+
+
+def minutes_of_creep():
+    return slow_log(60.0)
+
+
 RIGHT = [
+    slow_log, minutes_of_creep,
     constant_command, command_from_the_first_row, command_beside_a_constant_one, rest_at_zero,
     limit_of_a_sensor, there_and_back, there_and_back_again,
 ]  # fmt: skip

@@ -363,14 +363,14 @@ def stamps(look: Look) -> Iterator[Oddity]:
     steps = np.diff(times)
     middle = float(np.median(steps))
     counted = np.all(times == np.round(times)) and middle == 1.0 and np.ptp(steps) <= 1
-    if counted:
+    if counted and (_is_filmed(look) or _swings_faster(look, 5 * middle)):
         yield Oddity(
             "time",
             f"the stamps count {times[0]:g}, {times[1]:g}, {times[2]:g} s and so on to "
             f"{times[-1]:g} s, as numbers of frames do",
             "divide time_s by the pictures a second of the camera, if they are",
         )
-    elif not 5e-5 <= middle <= 5.0:
+    elif middle < 5e-5 or (middle > 5.0 and _turns_back(look)):
         off, by = (
             ("milliseconds", "time_s=time_ms") if middle > 5 else ("seconds", "time_ms=time_s")
         )
@@ -379,6 +379,44 @@ def stamps(look: Look) -> Iterator[Oddity]:
             f"the rows are {middle:.3g} s apart, which is no usual rate: the stamps may be {off}",
             f"--rename {by}, if they are",
         )
+
+
+def _is_filmed(look: Look) -> bool:
+    return any(cells.channel.quantity == "pixel" for cells in look.measured.values())
+
+
+def _swings_faster(look: Look, period: float) -> bool:
+    """Whether an arm that swings freely, within less than `period` (s), is seen to be smooth."""
+    section = look.section(ArmSection) if look.run.model == "arm" else None
+    if section is None or look.run.commands or is_balanced(section):
+        return False
+    known, count = arm_values(section), number_of_links(look)
+    gravity = known.get(BASE.gravity.path, 9.81 if section.preset == "pendulum" else 0.0)
+    if count is None or LINKS.length.path not in known or not np.any(gravity):
+        return False
+    reach = float(np.sum(np.broadcast_to(known[LINKS.length.path], (count,))))
+    slow = 2 * np.pi * np.sqrt(2 * reach / (3 * float(np.max(gravity)))) < period
+    return slow and any(
+        cells.step < 0.5 * _typical(cells.values - np.median(cells.values))
+        for cells in look.measured.values()
+    )
+
+
+def _turns_back(look: Look) -> bool:
+    """Whether an arm moves to and fro while no command changes, as no creep or leak does."""
+    if look.run.model != "arm":
+        return False
+    inputs = [v for v in look.run.commands.values() if v.dtype != object]
+    changes = [np.flatnonzero(np.diff(v)) + 1 for v in inputs]
+    since = max((int(rows[-1]) for rows in changes if rows.size), default=0)
+    for cells in look.measured.values():
+        x = cells.values[cells.rows >= since]
+        x = np.median(x[: len(x) // 5 * 5].reshape(-1, 5), axis=1)
+        up = np.max(x - np.minimum.accumulate(x), initial=0.0)
+        down = np.max(np.maximum.accumulate(x) - x, initial=0.0)
+        if min(up, down) > max(0.15 * cells.span, 6 * cells.noise):
+            return True
+    return False
 
 
 # Magnitudes by themselves.
