@@ -185,6 +185,10 @@ def percent(columns, definition, rng):
     columns["contraction"] = 100 * columns["contraction"]
 
 
+def kilonewtons(columns, definition, rng):
+    columns["force_N"] = 1e-3 * columns["force_N"]
+
+
 def wrap(columns, definition, rng):
     shifted = columns["joint01_angle_deg"] + 180.0
     columns["joint01_angle_deg"] = (shifted + 180.0) % 360.0 - 180.0
@@ -219,6 +223,7 @@ MISTAKES = {
     wrong_joint: ("command", ["base_step"]),
     take: ("take", ["base_step", "pendulum"]),
     percent: ("units", ["joint", "muscle"]),
+    kilonewtons: ("units", ["muscle"]),
     wrap: ("wrap", ["pendulum"]),
     mass: ("constants", ["base_step"]),
     gravity: ("constants", ["base_step"]),
@@ -353,7 +358,34 @@ def minutes_of_creep():
     return slow_log(60.0)
 
 
+def arm_on_a_table():
+    """Of joints that yaw, which carry no weight."""
+    columns, definition = following(0, 0)
+    definition["arm"] |= {"joint_axes": ["yaw", "yaw"], "link_mass_kg": 5.0}
+    return columns, definition
+
+
+def hanging_pendulum():
+    columns, definition = pendulum(np.random.default_rng(0))
+    weak = {"gravity_m_per_s2": 9.81, "parameters": {"joints.pitch_stiffness": 0.01}}
+    return columns, {**definition, "arm": {**definition["arm"], **weak}}
+
+
+def free_muscle():
+    """It contracts as far as its pressure lets it, against no load."""
+    _, definition = recorded("muscle", np.random.default_rng(0))
+    pressure = np.concatenate([np.linspace(0, 300, 100), np.linspace(300, 0, 100)])
+    columns = {
+        "pressure_kPa": pressure,
+        "contraction": 0.3 * pressure / 300,
+        "force_N": noisy(np.zeros(200), 0.02),
+        "phase": np.repeat(["fill", "exhaust"], 100).astype(object),
+    }
+    return columns, definition
+
+
 RIGHT = [
+    arm_on_a_table, hanging_pendulum, free_muscle,
     slow_log, minutes_of_creep,
     constant_command, command_from_the_first_row, command_beside_a_constant_one, rest_at_zero,
     limit_of_a_sensor, there_and_back, there_and_back_again,

@@ -584,7 +584,11 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
             f"mass times length squared ({np.max(mass * length**2):.3g})",
             "correct the inertia, or its unit",
         )
-    if floats and diameter is not None and not np.any(gravity or 0.0):
+    # What only yaws carries any weight.
+    axes = section.joint_axes
+    axes = ["pitch"] if axes in (None, "pitch_yaw") else axes
+    pitched = any(axis == "pitch" if isinstance(axis, str) else axis[1] for axis in axes)
+    if floats and pitched and diameter is not None and not np.any(gravity or 0.0):
         displaced = 1.204 * np.pi / 4 * diameter**2 * length
         ratio = float(np.max(mass / displaced))
         if not 1e-2 < ratio < 10:
@@ -596,8 +600,8 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
                 "gravity_m_per_s2",
             )
     stiffness = known.get(JOINTS.pitch_stiffness.path)
-    pitched = section.joint_axes in (None, "pitch_yaw") or "pitch" in (section.joint_axes or ())
-    if gravity is not None and not is_balanced(section) and pitched and stiffness is not None:
+    hangs = section.preset == "pendulum" or is_balanced(section)
+    if gravity is not None and not hangs and pitched and stiffness is not None:
         count = number_of_links(look) or 1
         whole = np.broadcast_to(mass, (count,)), np.broadcast_to(length, (count,))
         lever = np.cumsum(whole[1]) - whole[1] / 2
@@ -642,7 +646,7 @@ def number_of_links(look: Look) -> int | None:
 
 
 def force(look: Look) -> Iterator[Oddity]:
-    """The force of a braided muscle against that of the ideal law at the highest pressure."""
+    """The force of a braided muscle against that of the ideal law, at no contraction."""
     if look.run.model != "muscle" or "force" not in look.measured:
         return
     stated = look.section(MuscleSection).values()
@@ -652,10 +656,15 @@ def force(look: Look) -> Iterator[Oddity]:
         return
     diameter, angle = (float(stated[path]) for path in needed)
     most = float(np.nanmax(pressure))
-    ideal = np.pi / 4 * diameter**2 * most * (3 / np.tan(angle) ** 2 - 1 / np.sin(angle) ** 2)
+    ideal = np.pi / 4 * diameter**2 * (3 / np.tan(angle) ** 2 - 1 / np.sin(angle) ** 2)
     cells = look.measured["force"]
-    ratio = float(np.quantile(np.abs(cells.values), 0.95)) / max(ideal, 1e-300)
-    if ratio > 20 or ratio < 1e-2:
+    size, pressures = np.abs(cells.values), pressure[cells.rows]
+    ratio = float(np.quantile(size, 0.95)) / max(ideal * most, 1e-300)
+    # A muscle that may contract has little force, if any.
+    contraction = look.run.values.get("contraction", np.full(len(pressure), np.inf))
+    held = (contraction[cells.rows] < 0.05) & (pressures > most / 2)
+    weak = ideal > 0 and held.any() and np.median(size[held] / pressures[held]) < 1e-2 * ideal
+    if ratio > 20 or (weak and ratio < 1e-2):
         yield Oddity(
             "units",
             f"the force is {ratio:.2g} times that of an ideal muscle of this size and pressure: "
