@@ -384,7 +384,51 @@ def free_muscle():
     return columns, definition
 
 
+def blown(rows=10, part=0.5, wind=0.05, seed=11):
+    """A few rows of an arm that goes a part of the way, and elsewhere."""
+    rng = np.random.default_rng(seed)
+    commands = np.repeat(rng.uniform(-15, 15, (rows // 2, 4)), 2, axis=0)
+    commands[:2] = 0.0
+    turns = np.cumsum(rng.normal(scale=wind, size=(rows, 4)), axis=0) * (commands != 0)
+    turns += part * np.deg2rad(commands)
+    columns = {"time_s": 2.0 * np.arange(rows)}
+    for joint in range(4):
+        columns[f"joint{joint + 1:02d}_command_deg"] = commands[:, joint]
+    for axis, first in (("z", 0), ("y", 1)):
+        far = turns[:, first] * 7.5 + turns[:, first + 2] * 5.5
+        columns[f"link08_{axis}_m"] = noisy(far, 0.02, first)
+    return columns, {"arm": {"links": 8, "link_length_m": 1.0}, "noise": {"position_m": 0.02}}
+
+
+def blown_in_more_rows():
+    return blown(24, 0.5, 0.02, 10)
+
+
+def sagging(**arm):
+    """By 15 deg at the base, without gravity, as what is not balanced does."""
+    columns, definition = following(0, 30, 0, -20)
+    sagged = np.deg2rad(columns["joint01_command_deg"] - 15.0)
+    columns |= {n: v for n, v in stepping(columns["time_s"], sagged)[0].items() if n != "time_s"}
+    return columns, {**definition, "arm": {**definition["arm"], **arm}}
+
+
+def imbalance():
+    return sagging(parameters={"buoyancy.imbalance": 0.05})
+
+
+def body_on_the_tip():
+    return sagging(point_masses=[{"link": 2, "mass_kg": 0.01, "position_m": 0.5}])
+
+
+def markers_below():
+    columns, definition = following(0, 30, 0, -20)
+    for name in ("link01_z_m", "link02_z_m"):
+        columns[name] = columns[name] - 0.3
+    return columns, {**definition, "sensors": {"marker_up_m": -0.3}}
+
+
 RIGHT = [
+    blown, blown_in_more_rows, imbalance, body_on_the_tip, markers_below,
     arm_on_a_table, hanging_pendulum, free_muscle,
     slow_log, minutes_of_creep,
     constant_command, command_from_the_first_row, command_beside_a_constant_one, rest_at_zero,

@@ -13,8 +13,10 @@ import numpy as np
 from ..runtime.text import one_of
 from ..schema import (
     BASE,
+    BUOYANCY,
     CAMERA,
     LINKS,
+    MARKER,
     ArmSection,
     InitialSection,
     SensorsSection,
@@ -117,8 +119,11 @@ def _before_commands(look: Look) -> Iterator[Oddity]:
 
 _BLOCKS, _IN_BLOCK = 64, 5
 _LAGS = np.array([1e-9, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0])  # s
+_IMBALANCES = (BUOYANCY.imbalance, BUOYANCY.imbalance_drift)
 _MOVES_BY = 20.0  # times its noise: channels that move by less say nothing
 _BETTER = -0.45  # mean logarithm of what is left where a mistake is undone, against as it is
+_FEWEST_BLOCKS = 20  # for a comparison with what is recorded
+_USUAL_WAYS = 100  # ways in which it may be wrong, at `_BLOCKS`; chance finds more of more in fewer
 _SMOOTHER = 0.4  # by how much the shape of the arm is smoother with two labels exchanged
 
 
@@ -226,9 +231,12 @@ def _pose_of(look: Look) -> _Pose | None:
     }
     initial, sensors = look.section(InitialSection), look.section(SensorsSection).values()
     heavy = np.any(known.get(BASE.gravity.path, 0.0)) and not is_balanced(section)
+    heavy = heavy or any(np.any(known.get(each.path, 0.0)) for each in _IMBALANCES)
+    heavy = heavy or any(not body.structural for body in section.point_masses or ())
     driven = len(commands) < len(run.commands) or section.muscles or section.joint_laws
     stated = initial.values() or initial.first_row or initial.free or section.obstacles
     seen = any(path.startswith("camera.") for path in sensors)
+    seen = seen or any(np.any(sensors.get(each.path, 0.0)) for each in MARKER)
     axes: Any = section.joint_axes
     if axes is None and section.preset in PAPER:
         axes = "pitch_yaw"
@@ -306,7 +314,7 @@ def _at_commands(look: Look) -> Iterator[Oddity]:
     noise = np.sum(~np.isnan(pose.recorded), axis=0) * pose.noise**2
     whole = np.nansum((pose.recorded - pose.first) ** 2, axis=0)
     moves = whole > _MOVES_BY * noise
-    if not moves.any():
+    if not moves.any() or len(pose.times) < _FEWEST_BLOCKS:
         return
     floor = 4 * noise + 1e-3 * whole
 
@@ -316,7 +324,8 @@ def _at_commands(look: Look) -> Iterator[Oddity]:
     ways = (_units_of, _axes_of, _commands_of)
     gains = [(gain(each), each) for way in ways for each in way(pose)]
     best = min((gained for gained, _ in gains), default=0.0)
-    if best > _BETTER:
+    by_chance = np.log(len(gains) + 1) / np.log(_USUAL_WAYS) * _BLOCKS / len(pose.times)
+    if best > _BETTER * max(1.0, float(np.sqrt(by_chance))):
         return
     # What is nearly as good is named, too; what is simpler stands first.
     near = [each for gained, each in gains if gained < best + 0.1][:3]
