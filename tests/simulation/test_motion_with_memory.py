@@ -137,13 +137,15 @@ def test_derivatives_are_slopes(solver):
 
 
 @pytest.mark.long
-def test_a_gradient_in_reverse_is_that_of_forward_mode():
+@pytest.mark.parametrize("solver", ["springs5", "tsit5"])
+def test_a_gradient_in_reverse_is_that_of_forward_mode(solver):
     command, times = to_and_fro(), np.linspace(0, 0.6, 4)
     arm = arm_with(LAWS["both"])
 
     def height(strength, derivatives):
         own = replace(arm, {"joints.memory.strength": strength})
-        return simulate(own, command, times, derivatives=derivatives, max_steps=500).tip[-1, 2]
+        options = {"solver": solver, "derivatives": derivatives, "max_steps": 500}
+        return simulate(own, command, times, **options).tip[-1, 2]
 
     forward = float(jax.jacfwd(lambda x: height(x, "forward"))(0.3))
     assert float(jax.grad(lambda x: height(x, "reverse"))(0.3)) == pytest.approx(forward, rel=1e-6)
@@ -230,3 +232,32 @@ def test_states_between_two_steps_are_those_of_the_way():
     )
     assert 3 * np.sum(long.steps) < np.sum(short.steps)
     assert_allclose(long.memory, short.memory, rtol=0, atol=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["dahl", "stops"])
+def test_derivatives_of_long_steps_are_those_of_short_ones(law):
+    """Joints turn within steps: a stage must have the derivatives of the side on which it ends."""
+    links, paths = 6, ["air.drag_coefficient", "joints.pitch_stiffness"]
+    values = {
+        "dahl": {"joints.memory.strength": 0.06, "joints.memory.yield_angle": 0.001},
+        "stops": {"joints.stops.strength": [0.06], "joints.stops.yield_angle": [0.001]},
+    }
+    arm = takeichi_20m(links, parameters=values[law])
+    command = joint_ramps(links, {1: 0.5, 2: 0.3}, start=0.2, duration=0.5)
+    times, start = np.linspace(0.0, 6.0, 31), jnp.asarray([1.2, 3.0])
+
+    def slopes(tolerance):
+        def tips(at):
+            own = replace(arm, dict(zip(paths, at, strict=True)))
+            return simulate(
+                own, command, times, solver="springs5", rtol=tolerance, atol=tolerance
+            ).tip
+
+        return jax.jit(jax.jacfwd(tips))(start)
+
+    exact = slopes(1e-9)
+    size = np.max(np.abs(exact), axis=(0, 1))
+    assert np.all(size > 0)
+    for tolerance in (1e-4, 1e-5):
+        assert np.all(np.abs(slopes(tolerance) - exact) < 0.1 * size)

@@ -95,7 +95,7 @@ def _with(controller: Any, rtol: Any, atol: Any) -> Any:
     )
 
 
-def check_method(solver: Solver, controller: object = None, *, slides: bool = False) -> None:
+def check_method(solver: Solver, controller: object = None) -> None:
     """Refuse (`InputError`) a solver, or a controller of its steps, that no arm moves by."""
     if controller is None and isinstance(solver, str) and solver in SOLVERS:
         return
@@ -109,11 +109,10 @@ def check_method(solver: Solver, controller: object = None, *, slides: bool = Fa
             f"the step size controller is {type(controller).__name__}, which says no lengths of "
             "steps: give diffrax.StepTo(ts=...), or an adaptive one such as diffrax.PIDController"
         )
-    if (adaptive or slides) and not isinstance(method, diffrax.AbstractAdaptiveSolver):
+    if adaptive and not isinstance(method, diffrax.AbstractAdaptiveSolver):
         raise InputError(
             f"{name} estimates no error of a step, by which its length is chosen: give "
-            f"diffrax.HalfSolver({name}()), or where nothing slides "
-            "stepsize_controller=diffrax.StepTo(ts=...)"
+            f"diffrax.HalfSolver({name}()), or stepsize_controller=diffrax.StepTo(ts=...)"
         )
     if fixed and isinstance(method, diffrax.AbstractImplicitSolver):
         of_controller = diffrax.ImplicitEuler().root_finder.rtol  # what stands for that

@@ -1,8 +1,8 @@
 """`springs5`, a linearly implicit additive Runge-Kutta method of order 5, and all methods by name.
 
-One more factorisation a step, and no iteration: between two accurate steps of an explicit method
-stiff springs force many that are merely stable. Here the springs and dampers of the joints and what
-pulls at them are implicit, and nothing else is.
+One more factorisation a step, and no iteration but where joints remember their way: between two
+accurate steps of an explicit method stiff springs force many that are merely stable. Here the
+springs and dampers of the joints and what pulls at them are implicit, and nothing else is.
 """
 
 from collections.abc import Callable
@@ -114,7 +114,8 @@ class QuinticInterpolation(diffrax.AbstractLocalInterpolation):
 # Whether the slope at the start of the next step is known, and the slope.
 Carried = tuple[Bool[Array, ""], State]
 
-Stages = tuple[Array, State, State]  # slopes of all stages, and state and slope of the last one
+# Slopes of all stages, state and slope of the last one, and how far the worst is from its solution.
+Stages = tuple[Array, State, State, Scalar]
 
 # The embedded method is so near to the method itself that its difference understates the error;
 # with these a tolerance means about the same error of an arm's motion as with Tsit5. The second is
@@ -125,9 +126,10 @@ _CAUTION, _CAUTION_AT_CORNERS = 100.0, 10.0
 # hardly move turn round more often than a long step sees, and each turn leaves something behind.
 _CAUTION_AT_TURNS = 1000.0
 
-# A stage is solved where the last step of Newton's method moved no joint by more, rad; after as
-# many steps it is as good as it becomes.
-_NEAR, _MOST = 1e-8, 10
+# A stage is solved where the last step of Newton's method moved no joint by more, rad, or by more
+# than rounding. Where that is not so after as many, and it moved one far, the step is too long.
+_NEAR, _FAR, _MOST = 1e-8, 1e-6, 10
+_ROUNDING = 16
 
 # The error of a rate counts as the angle that it makes within a stage, or at least within a frame
 # of a camera (s). By itself it would decide the step alone: fast joints at the tip swing at rates
@@ -148,10 +150,12 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
     state. The implicit part being linear in the state, a stage is one solution with one matrix,
     M + gamma h D + (gamma h)^2 K, which is factorised once a step.
 
-    Where joints remember, or pressures lag, J has the slopes of these states z, too: of the torque
-    by z, and of dz/dt by z and by the rate. Each state depends on its own joint alone, so that it
+    Where laws of joints have states z, or pressures lag, J has their slopes, too: of the torque by
+    z, and of dz/dt by z and by the rate. Each state depends on its own joint alone, so that it
     drops out of the matrix and adds to the damping. What supplies pressures is explicit. Contact
     adds its stiffness and damping, which couple the joints, and the skin of links that stick.
+    Torques by the way of the joints alone (`resistance`) are implicit without being linear: a stage
+    is found by Newton's method then, and each of its steps has a matrix of its own.
 
     Source: Kennedy and Carpenter, Applied Numerical Mathematics 44 (2003) 139; the coefficients
     are those of `diffrax.KenCarp5`.
@@ -230,12 +234,15 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             torque, softening = jax.jvp(
                 lambda x: resist(x, given), (rates,), (jnp.ones_like(rates),)
             )
-            # What is linear of it is as a damper is; one that drives is none.
+            # What is linear of it is as a damper is. One that drives is left out, of which the
+            # matrix need not be positive: the derivatives of such a stage are near.
             damper = jax.lax.stop_gradient(jnp.maximum(-softening, 0))
             return solve(given[0], given[1] + torque + damper * rates, damper, at)
 
-        def found(rates: Array, given: Any) -> State:
-            """A stage with what resists by the way of the joints."""
+        near = max(_NEAR, _ROUNDING * float(jnp.finfo(y0.dtype).eps))
+
+        def found(rates: Array, given: Any) -> tuple[State, Scalar]:
+            """A stage with what resists by the way of the joints, and its last move, rad."""
             stopped = jax.lax.stop_gradient(given)
 
             def one(carried: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -244,16 +251,16 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 return count + 1, jnp.max(jnp.abs(scale * (moved - rates))), moved
 
             start = jnp.asarray(0), jnp.asarray(jnp.inf, y0.dtype), jax.lax.stop_gradient(rates)
-            *_, rates = jax.lax.while_loop(
-                lambda carried: (carried[0] < _MOST) & (carried[1] > _NEAR), one, start
+            _, moved, rates = jax.lax.while_loop(
+                lambda carried: (carried[0] < _MOST) & (carried[1] > near), one, start
             )
             # The derivative of one more step is that of the solution, and has to be taken where the
             # equation of motion has its own: beyond a turn it is another one.
             rates = jax.lax.stop_gradient(rates)
-            return better(rates, given, rates)
+            return better(rates, given, rates), moved
 
         def advance(stage: Any, carried: Stages) -> Stages:
-            parts, last, _ = carried
+            parts, last, _, off = carried
             known_part = jnp.sum(combine[stage][..., None, None] * parts, axis=(0, 1))
             # Not beyond the end by rounding, where the next piece of the command may start.
             time = jnp.minimum(t0 + times[stage] * step, t1)
@@ -263,16 +270,23 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 change = jnp.where(stage == end, known_part, solve(known_part, pull))
             else:
                 given = known_part, pull, time, y0, args, resisted
-                near = last[1] - y0[1]
-                change = jax.lax.cond(stage == end, lambda: known_part, lambda: found(near, given))
+                begin = last[1] - y0[1]
+                change, moved = jax.lax.cond(
+                    stage == end,
+                    lambda: (known_part, jnp.zeros_like(off)),
+                    lambda: found(begin, given),
+                )
+                off = jnp.maximum(off, moved)
             slope = terms.vf(time, y0 + change, args)
             # h f(Y) and h (J (Y - y0) + g)
             part = jnp.stack([step * slope, (change - known_part) / gamma])
-            return jax.lax.dynamic_update_index_in_dim(parts, part, stage, 0), y0 + change, slope
+            parts = jax.lax.dynamic_update_index_in_dim(parts, part, stage, 0)
+            return parts, y0 + change, slope, off
 
         first = jnp.stack([step * slope, jnp.zeros_like(y0)])[None]
         parts = jnp.concatenate([first, jnp.zeros((end, *first.shape[1:]), y0.dtype)])
-        parts, y1, f1 = jax.lax.fori_loop(begin, end + 1, advance, (parts, y0, slope))
+        stages: Stages = (parts, y0, slope, jnp.zeros((), y0.dtype))
+        parts, y1, f1, off = jax.lax.fori_loop(begin, end + 1, advance, stages)
         # A step of no length occurs between corners that differ by rounding.
         f0 = parts[0, 0] / jnp.where(step == 0, 1, step)
         dense = {"y0": y0, "y1": y1, "f0": f0, "f1": f1}
@@ -283,10 +297,12 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             of_rate = jnp.maximum(scale, _FRAME)
             weight = jnp.where(row == 1, _CAUTION * of_rate, jnp.where(row == 0, _CAUTION, weight))
         if resisted is not None:
-            borne = jnp.concatenate([jnp.zeros_like(y0[:2]), springs.borne])
-            borne = jnp.pad(borne, ((0, len(y0) - len(borne)), (0, 0)))
-            weight = jnp.where(borne > 0, _CAUTION_AT_TURNS * borne, weight)
+            rows = ((2, len(y0) - 2 - len(springs.borne)), (0, 0))
+            borne = jnp.pad(springs.borne, rows, constant_values=jnp.nan)
+            weight = jnp.where(jnp.isnan(borne), weight, _CAUTION_AT_TURNS * borne)
         y_error = weight * y_error
+        if resisted is not None:
+            y_error = jnp.where(jax.lax.stop_gradient(off) > max(_FAR, near), jnp.inf, y_error)
         return y1, y_error, dense, (jnp.asarray(True), f1), diffrax.RESULTS.successful
 
     @staticmethod

@@ -268,7 +268,7 @@ class Springs(NamedTuple):
         memory: of states of the joints' laws, or None.
         contact: how torques of contact change with the angles and rates of all joints, or None.
         borne: angle by which a joint bears a unit of each state that depends on its way alone, rad;
-            0 of others.
+            NaN of others.
     """
 
     mass: Float[Array, "joint joint"]
@@ -314,7 +314,8 @@ def springs(time: Any, state: State, inputs: Inputs) -> Springs:
             zero, slopes = jnp.zeros_like(own.states), law.state_slopes(own)
             rows.append((zero,) * 3 if inputs.follows(law) else slopes)
             of_all = stiffness + law.stiffest(own)
-            borne.append(slopes[0] / of_all[None] if inputs.follows(law) else zero)
+            angle = jnp.abs(slopes[0]) / of_all[None]
+            borne.append(angle if inputs.follows(law) else jnp.full_like(zero, jnp.nan))
     strain = Strain(*map(jnp.concatenate, zip(*rows, strict=True))) if rows else None
     contact = None
     if arm.contact is not None:

@@ -98,15 +98,14 @@ class _ReturnMapping(diffrax.AbstractAdaptiveSolver):
         args: Any,
         solver_state: Any,
         made_jump: Any,
-    ) -> tuple[State, State, Any, Any, Any]:
+    ) -> Any:
         """One step."""
         inputs = args
-        if args.arm.further_laws.slides:
+        if args.arm.further_laws.mapped:
             inputs = dataclasses.replace(args, since=(t0, y0))
         y1, y_error, dense, inner, result = self.solver.step(
             terms, t0, t1, y0, inputs, solver_state, made_jump
         )
-        assert y_error is not None
         mapped = inputs.followed(t1, y1)
         return _slid(args, mapped), y_error, {**dense, "inputs": inputs}, inner, result
 

@@ -99,9 +99,9 @@ def _undisturbed_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
 
 def slides(arm: Arm) -> bool:
-    """Whether something slides, in joints or along obstacles."""
+    """Whether something follows the way of joints or slides along obstacles, step by step."""
     touches = arm.contact is not None and arm.contact.rows > 0
-    return arm.further_laws.slides or touches
+    return arm.further_laws.mapped or touches
 
 
 T = TypeVar("T")
@@ -359,7 +359,7 @@ def simulate(
     _check(arm, command, times, wind, torque, stepsize_controller)
     check_muscles(arm, command, pressure)
     # What is wrong is refused before anything is compiled.
-    check_method(solver, stepsize_controller, slides=slides(arm))
+    check_method(solver, stepsize_controller)
     adjoint(derivatives)
     check_steps_for(steps_for)
     rtol, atol = (jnp.asarray(tolerance, dtype=dtype) for tolerance in (rtol, atol))

@@ -396,6 +396,30 @@ class Misled(Creep):
         return -_held(at.states[0])
 
 
+class Slipping(Creep):
+    """Of a limited torque: it has a rate, and slips."""
+
+    def return_mapped(self, angles, states):
+        return jnp.clip(states, -0.3, 0.3)
+
+
+@pytest.mark.slow
+def test_a_law_with_a_rate_that_slips_does_so_alone_and_beside_others():
+    arms = [
+        takeichi_20m(2, joint_laws=[Slipping()], parameters=more)
+        for more in ({}, {"joints.stops.strength": [1e-9], "joints.stops.yield_angle": [0.01]})
+    ]
+    command = giajax.joint_ramps(2, {1: 0.6, 2: -0.4}, start=0.1, duration=0.3)
+    times = np.linspace(0.0, 3.0, 31)
+    alone, beside = (
+        giajax.simulate(arm, command, times, solver="springs5", rtol=1e-8, atol=1e-8)
+        for arm in arms
+    )
+    torque = np.abs(alone.memory[:, 0])
+    assert 0.29 < np.max(torque) <= 0.3
+    assert_allclose(beside.angles, alone.angles, atol=1e-5)
+
+
 class Astray(Memory):
     """Twice as far along its way as its rate says."""
 

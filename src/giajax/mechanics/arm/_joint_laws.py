@@ -49,7 +49,8 @@ class AbstractJointLaw(eqx.Module):
     """What acts in each joint: `torque`, and the `energy` that is stored in it. Laws add.
 
     All joints are computed at once, and no joint may depend on another one. A law of `rows` states
-    has their `rate`, or what they slide by (`return_mapped`). One that is driven by pressures has
+    has their `rate`, or what they slide by (`return_mapped`), and where they depend on the way of a
+    joint alone what they are after one (`travelled`). One that is driven by pressures has
     `commanded`. What solvers need besides follows by derivatives. Its parameters are declared as
     all others (`giajax.schema.parameters.parameter`) and have paths as `joints.laws.CLASS.NAME`.
     `check_joint_law` tests a law.
@@ -201,6 +202,12 @@ class JointLaws(AbstractJointLaw):
     def rows(self) -> int:
         """Own states of each joint, of all laws."""
         return sum(law.rows for law in self.laws)
+
+    @property
+    def mapped(self) -> bool:
+        """Whether states of one follow the angles of the joints, at least at the end of a step."""
+        plain = AbstractJointLaw.return_mapped
+        return self.slides or any(type(law).return_mapped is not plain for law in self.laws)
 
     @property
     def slides(self) -> bool:

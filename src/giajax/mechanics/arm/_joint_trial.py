@@ -60,6 +60,10 @@ def check_joint_law(law: AbstractJointLaw, joints: int = 7) -> None:
         _PASSED.add(key)
 
 
+# Of a way in one direction, rad, and by how much its halves may come to something else.
+_WAY, _LEGS = 0.05, 1e-3
+
+
 def _check_shapes(law: AbstractJointLaw, joints: int) -> None:
     name = type(law).__name__
     if any(each.name == "rows" and not each.metadata.get("static") for each in fields(law)):
@@ -230,6 +234,9 @@ def _found(law: AbstractJointLaw, at: JointState) -> dict[str, Any]:
     passed = {}
     if type(law).travelled is not AbstractJointLaw.travelled:
         passed["travelled"] = law.travelled(at.angles, after.angles, at.states), states
+        half, far = at.angles + _WAY / 2, at.angles + _WAY
+        legs = law.travelled(half, far, law.travelled(at.angles, half, at.states))
+        passed["legs"] = law.travelled(at.angles, far, at.states), legs
     after = after._replace(states=law.return_mapped(after.angles, states))
     return {
         "values": here,
@@ -283,6 +290,9 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
         wrong = np.abs(followed - states) > _SLOPES * largest(states)
         what = f"is not what {name}.rate comes to after a short way"
         refuse("travelled", what, wrong, "correct one of them, or remove it")
+        whole, legs = found["legs"]
+        wrong = np.abs(whole - legs) > _LEGS * largest(legs)
+        refuse("travelled", "is not what two halves of a way come to", wrong, "correct it")
     stiffness, stiffest = found["falling"][0], found["stiffest"]
     within = np.abs(at.angles) <= law.largest_angle
     wrong = within & (stiffest < stiffness - 1e-6 * largest(stiffness)) | ~np.isfinite(stiffest)
