@@ -14,7 +14,7 @@ from ._checks import can_improve, with_finer_tolerance, with_suitable_tolerance
 from ._linearise import BlockJacobian, minimised
 from ._records import Iteration
 from ._steps import FitState, Reason, move, reweight, step, trial
-from ._uncertainty import reestimate, responds
+from ._uncertainty import reestimate, responds, undetermined_groups
 
 
 @dataclasses.dataclass(frozen=True)
@@ -386,6 +386,10 @@ def _woken(state: FitState) -> FitState | None:
     slope = np.maximum(state.problem.bijector.slope(np.asarray(state.coordinate)), 1e-300)
     whole = BlockJacobian.of(state.problem, state.inner.jacobian).scaled(1 / slope)
     moves = active | responds(whole.norms(), state.sizes)
+    # What is only another one's like would take its standard error away.
+    columns = np.flatnonzero(moves)
+    for group in undetermined_groups(whole.reduced()[:, columns]):
+        moves[columns[group]] = active[columns[group]]
     if np.array_equal(moves, active):
         return None
     state = dataclasses.replace(
