@@ -19,7 +19,7 @@ from ._problem import predictions_by_run
 from ._records import Estimate, OwnEstimate
 from ._statistics import Statistics, combinations
 from ._steps import FitState
-from ._uncertainty import largest_correlations
+from ._uncertainty import FAR_OFF, largest_correlations
 from ._weights import prior_of
 
 # What the data of a fit cannot tell, as codes with a sentence and advice.
@@ -31,7 +31,6 @@ _MOST_PAIRS = 10  # many pairs are one cause: the worst ones show it
 _BENT = 0.3  # a third of a standard error's square, or of its symmetry
 _AGAINST = 3.0  # standard deviations of a prior that the data have moved a parameter by
 _MOSTLY = 0.5  # a prior that says more than this of a parameter
-_FAR_OFF = 5.0  # times the noise: of such residuals a prior is no cure
 _ONE_SIDED = 1.645  # normal quantile of a one-sided interval of 95 %
 
 # Correlation times without which an estimate of the correlation, and all errors, are uncertain.
@@ -149,7 +148,7 @@ def _without_response(state: FitState, statistics: Statistics) -> Iterator[Findi
             names,
             f"no channel responds to {', '.join(names)}",
             "leave it held, give it a prior, or record a motion that it acts on"
-            if state.residual_scale() < _FAR_OFF
+            if state.residual_scale() < FAR_OFF
             else "ask first why the model does not describe the data: see what giajax check says "
             "of the run",
         )

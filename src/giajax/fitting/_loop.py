@@ -14,7 +14,7 @@ from ._checks import can_improve, with_finer_tolerance, with_suitable_tolerance
 from ._linearise import BlockJacobian, minimised
 from ._records import Iteration
 from ._steps import FitState, Reason, move, reweight, step, trial
-from ._uncertainty import reestimate, responds, undetermined_groups
+from ._uncertainty import FAR_OFF, reestimate, responds, undetermined_groups
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,10 +60,6 @@ _MISFIT = 4.0  # above this reduced chi-square something is missing
 _NEAR, _LINEAR = 0.1, 1.0
 
 _REFUSED = 3  # refused steps in a row that are no accident there
-
-# Residuals of so many times the noise are of a model that does not describe the data: neither more
-# iterations nor a prior change that.
-_FAR = 5.0
 
 
 def stopped_by(state: FitState) -> tuple[Reason, str] | None:
@@ -157,7 +153,7 @@ def _cannot_describe(state: FitState) -> str:
     """What to say of residuals many times the noise, which the last steps did not halve."""
     scale, steps = state.residual_scale(), state.history[state.round_began :]
     gained = len(steps) <= _LAST or steps[-1 - _LAST].cost > 2 * steps[-1].cost
-    if gained or not scale > _FAR:
+    if gained or not scale > FAR_OFF:
         return ""
     return (
         f", and the residuals are {scale:.2g} times the noise: the model does not describe the "

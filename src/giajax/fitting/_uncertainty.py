@@ -257,6 +257,10 @@ def series_of(
 # have a standard error of a million times itself.
 _NO_RESPONSE = 1e-6
 
+# Residuals of so many times the noise are of a model that does not describe the data: neither more
+# iterations nor a prior change that.
+FAR_OFF = 5.0
+
 # Column-normalised singular value below which a combination of parameters is not determined.
 COLLINEAR = 1e-6
 

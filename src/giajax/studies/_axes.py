@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..fitting import FitResult, Response, Suspect, predict, resolved_ties, tied
+from ..fitting import FitResult, Response, Suspect, SuspectKind, predict, resolved_ties, tied
 from ..models import AbstractModel
 from ..recordings import Channel, Run
 from ..schema.parameters import replace
@@ -141,20 +141,26 @@ def axes_row(
     drop = max(chi_square - other, 0.0)
     # Of two models without anything free, a likelihood ratio of 1/c has a probability below c.
     scale = max(1.0, other / max(rest.values - rest.parameters, 1))
-    row = Suspect(
-        path=name_of(way),
-        kind="axes",
+    p_value = float(min(1.0, np.exp(-drop / scale / 2)))
+    note = "with the values that the fit began with" if at_start and drop else ""
+    return [_row_of(name_of(way), "axes", drop, p_value, note)], len(ways)
+
+
+def _row_of(path: str, kind: SuspectKind, drop: float, p_value: float, note: str) -> Suspect:
+    """A row of something that is so or not, with nothing to estimate."""
+    return Suspect(
+        path=path,
+        kind=kind,
         unit="",
         value=None,
         estimate=None,
         estimate_error=None,
         chi_square_drop=drop,
         degrees_of_freedom=1,
-        p_value=float(min(1.0, np.exp(-drop / scale / 2))),
+        p_value=p_value,
         testable=True,
-        note="with the values that the fit began with" if at_start and drop else "",
+        note=note,
     )
-    return [row], len(ways)
 
 
 _STILL = 2.0  # times the variance of the noise: what stands still has no more
@@ -202,20 +208,8 @@ def points_row(
     if likelihood > 0:  # As much by chance.
         return []
     places = [_moment(runs, starts, row) for row in (first, max(end - 1, first))]
-    row = Suspect(
-        path=name,
-        kind="points",
-        unit="",
-        value=None,
-        estimate=None,
-        estimate_error=None,
-        chi_square_drop=drop,
-        degrees_of_freedom=1,
-        p_value=float(np.exp(likelihood)),
-        testable=True,
-        note=f"from {places[0]} to {places[1]}",
-    )
-    return [row]
+    note = f"from {places[0]} to {places[1]}"
+    return [_row_of(name, "points", drop, float(np.exp(likelihood)), note)]
 
 
 def _cells_of_points(

@@ -7,6 +7,7 @@ Benchmarks, Brussels 2016, whose notation is used.
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any, Self
 
 import equinox as eqx
@@ -54,10 +55,16 @@ def bouc_wen_after(
         nu, delta: as of `BoucWen`, where alpha and beta are 1 and gamma is 1 - delta.
     """
     sign = jnp.where(way < 0, -1.0, 1.0)
+
+    def integrated() -> Array:
+        most, one = _FULL + _DECAY / nu, jnp.ones_like(nu)
+        width = jnp.clip(way, -most, most) / _STEPS
+        return _by_steps(
+            lambda z: bouc_wen_rate(width, z, one, one, 1 - delta, delta, nu), z, _STEPS
+        )
+
     return jax.lax.cond(
-        _is_dahl(nu, delta),
-        lambda: sign - (sign - z) * jnp.exp(-sign * way),
-        lambda: sign * _integrated(sign * way, sign * z, nu, 1 - 2 * delta),
+        _is_dahl(nu, delta), lambda: sign - (sign - z) * jnp.exp(-sign * way), integrated
     )
 
 
@@ -73,22 +80,18 @@ def _is_dahl_jvp(primals: Any, tangents: Any) -> tuple[Array, None]:
     return _is_dahl(*primals) & held, None
 
 
-def _integrated(way: Array, z: Array, nu: Scalar, rise: Scalar) -> Array:
-    """dz/dw = 1 - z^nu, or 1 + rise |z|^nu below 0, by Runge-Kutta steps."""
-    width = jnp.minimum(way, _FULL + _DECAY / nu) / _STEPS
-
-    def slope(z: Array) -> Array:
-        zero = z == 0
-        power = jnp.where(zero, 0, jnp.where(zero, 1, jnp.abs(z)) ** nu)
-        return width * (1 - jnp.where(z < 0, -rise, 1) * power)
+def _by_steps(slope: Callable[[Array], Array], z: Array, count: int) -> Array:
+    """z after so many classical Runge-Kutta steps, of a slope times the width of one."""
 
     def one(_: int, z: Array) -> Array:
         first = slope(z)
         second = slope(z + first / 2)
         third = slope(z + second / 2)
-        return z + (first + 2 * second + 2 * third + slope(z + third)) / 6
+        fourth = slope(z + third)
+        return z + (first + 2 * second + 2 * third + fourth) / 6
 
-    return jax.lax.fori_loop(0, _STEPS, one, z)
+    # The number of turns is known, which keeps both modes of differentiation.
+    return jax.lax.fori_loop(0, count, one, z)
 
 
 _FULL, _DECAY, _STEPS = 2.0, 24.0, 32  # yield angles up to the knee, and beyond it; steps of both
@@ -184,15 +187,7 @@ class BoucWen(AbstractOperator):
         def slope(z: Scalar) -> Scalar:
             return bouc_wen_rate(width, z, self.alpha, self.beta, self.gamma, self.delta, self.nu)
 
-        def one(_: int, z: Scalar) -> Scalar:
-            first = slope(z)
-            second = slope(z + first / 2)
-            third = slope(z + second / 2)
-            fourth = slope(z + third)
-            return z + (first + 2 * second + 2 * third + fourth) / 6
-
-        # The number of turns is known, which keeps both modes of differentiation.
-        z = jax.lax.fori_loop(0, self.substeps, one, z)
+        z = _by_steps(slope, z, self.substeps)
         return (value, z), self.elastic * value + z
 
     def history(
