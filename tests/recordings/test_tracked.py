@@ -1,5 +1,7 @@
 """Tracked points of other programs: files of their true form, and what is wrong in them."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -82,18 +84,85 @@ def test_kinovea_has_y_upwards_from_its_origin(tmp_path, text):
     ("text", "says"),
     [
         ("time_s,tip_u_px\n0,1\n", "is not a file of DeepLabCut"),
-        (DEEPLABCUT.replace("404.5", "left"), "row 5 has 'left', which must be a number"),
+        (
+            DEEPLABCUT.replace("404.5", "left"),
+            "'elbow x' has 'left' in row 5, but must have",
+        ),
         (DEEPLABCUT.replace("1,404.5", "404.5"), "row 5 has 6 cells"),
         (DEEPLABCUT.replace("\n3,", "\n1,"), "each once"),
         (DEEPLABCUT.replace("x,y,l", "x,z,l", 1), "'elbow' has no columns x and y"),
         (DEEPLABCUT.split("\n0,")[0] + "\n", "no rows"),
+        (DEEPLABCUT.replace("tip end", "elbow"), "two points that are called 'elbow'"),
+        (DEEPLABCUT.replace("coords,x,", "coords,"), "row 3 has 6 cells"),
+        (DEEPLABCUT.replace("elbow,elbow", "el" + "b" * 200_000), "200,002 characters"),
+        (DEEPLABCUT.replace("elbow,", '"elbow",', 1).replace("404.5", '"404.5"1'), "quotation"),
+        ("", "is not a file of DeepLabCut"),
+        *(
+            (DEEPLABCUT.replace("404.5", cell), f"{cell!r} in row 5")
+            for cell in ("1_0", "\u0661", "\uff11", "1e", "0x10", "True")
+        ),
+        *(
+            (DEEPLABCUT.replace("404.5", cell), f"has {float(cell):g} in row 5, but may have 1e+30")
+            for cell in ("inf", "-Infinity", "1e400", "1e31")
+        ),
     ],
+    ids=lambda value: value[-40:],
 )
 def test_a_bad_file_of_deeplabcut_is_one_sentence(tmp_path, text, says):
     with pytest.raises(InputError) as caught:
         read_deeplabcut(write(tmp_path, text), rate=50.0)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (KINOVEA.replace("Marker 2", "Marker 1"), "two points that are called 'Marker 1/0'"),
+        (KINOVEA.replace('"101"', '"1_0"'), "column 'Marker 1/0/X' has '1_0' in row 3"),
+        (KINOVEA.replace('"101"', '"inf"'), "has inf in row 3"),
+        (KINOVEA.replace('"101"', '"1,0,1"'), "'1.0,1' in row 3"),
+        (KINOVEA.replace('"101"', '"101'), "row 3"),
+        (KINOVEA.replace('"101",', '"101",,'), "row 3 has 6 cells"),
+        (KINOVEA.replace('"101"', "1" * 140_000), "140,000 characters"),
+    ],
+    ids=lambda value: value[-40:],
+)
+def test_a_cell_of_kinovea_is_read_as_that_of_a_run(tmp_path, text, says):
+    with pytest.raises(InputError) as caught:
+        read_kinovea(write(tmp_path, text), origin=(0.0, 0.0))
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.quick
+def test_time_grows_no_faster_than_points(tmp_path):
+    """8,000 points, which took a minute when each was looked for among all."""
+    number = 8_000
+    names = [f"point {index}" for index in range(number)]
+
+    def row(first, cells):
+        return ",".join([first, *cells])
+
+    lines = [
+        row("scorer", ["s"] * (3 * number)),
+        row("bodyparts", [name for name in names for _ in range(3)]),
+        row("coords", ["x", "y", "likelihood"] * number),
+        *(row(str(picture), ["1.5", "", "0.9"] * number) for picture in range(3)),
+    ]
+    path = write(tmp_path, "\n".join(lines) + "\n")
+    began = time.process_time()
+    points = read_deeplabcut(path, rate=1.0).points
+    assert time.process_time() - began < 5
+    assert list(points) == names
+    np.testing.assert_array_equal(points[names[-1]], [[1.5, np.nan]] * 3)
+    columns = [f"{name}/0/{axis}" for name in names for axis in "XY"]
+    path = write(tmp_path, "\n".join([row("Time", columns), row("0", ["1.5", ""] * number)]))
+    began = time.process_time()
+    points = read_kinovea(path, origin=(0.0, 0.0)).points
+    assert time.process_time() - began < 5
+    np.testing.assert_array_equal(points[names[-1]], [[1.5, np.nan]])
 
 
 @pytest.mark.quick

@@ -86,11 +86,11 @@ def _named(cells: Sequence[str]) -> bool:
 _TOP = 1 << 16  # bytes in which the lines above a header are looked for
 
 
-def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
-    """Header, columns of text (null = empty cell), and the line of the first sample.
+def csv_lines(data: bytes, path: Path, separator: str = ",") -> bytes:
+    """The lines of a CSV file, which end in a line feed, without empty ones at the end.
 
     Raises:
-        InputError: the data are not CSV in UTF-8 with as many cells in each row as in the first.
+        InputError: the data are not text in UTF-8, or a cell is too long.
     """
     data = data.removeprefix(b"\xef\xbb\xbf")
     try:
@@ -103,19 +103,25 @@ def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]
         ) from None
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    head, _, body = data.rstrip(b"\n").partition(b"\n")
+    _check_lengths(data, path, separator)
+    return data.rstrip(b"\n")
+
+
+def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
+    """Header, columns of text (null = empty cell), and the line of the first sample.
+
+    Raises:
+        InputError: the data are not CSV in UTF-8 with as many cells in each row as in the first.
+    """
+    data = csv_lines(data, path)
+    head, _, body = data.partition(b"\n")
     if head.count(b",") >= COLUMNS:
         raise InputError(
             f"{path} has {head.count(b',') + 1:,} columns, but may have {COLUMNS:,} at most: "
             "remove some"
         )
-    _check_lengths(data, path)
     check_header(data[:_TOP].decode("utf-8", errors="ignore"), path)
-    try:
-        names = next(csv.reader([head.decode("utf-8")], strict=True), [])
-    except csv.Error:
-        _misquoted(path, 1)
-    header = [name.strip() for name in names]
+    header = [name.strip() for names in csv_rows(head, path, 1) for name in names]
     if not any(header):
         raise InputError(
             f"{path}: the first line must name the columns, but is empty: add a header"
@@ -130,20 +136,43 @@ def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]
     if not body:
         return header, [], 2
     if b'"' in body:
-        return header, _quoted(body, header, path), 2
-    _check_widths(body, len(header), path)
+        columns = zip(*csv_rows(body, path, 2, width=len(header)), strict=True)
+        return header, [pl.Series("", list(each), dtype=pl.String) for each in columns], 2
+    _check_widths(body, len(header), path, 2)
     # Below a line of its own: Polars drops a byte order mark and empty lines at the top.
     top = b",".join([b"0"] * len(header)) + b"\n"
-    frame = pl.read_csv(
-        io.BytesIO(top + body), has_header=False, infer_schema=False, quote_char=None, glob=False
+    return header, _text(top + body)[1:].get_columns(), 2
+
+
+def _text(lines: bytes, separator: str = ",") -> pl.DataFrame:
+    return pl.read_csv(
+        io.BytesIO(lines),
+        has_header=False,
+        separator=separator,
+        quote_char=None,
+        infer_schema=False,
+        glob=False,
     )
-    return header, frame[1:].get_columns(), 2
 
 
-def _check_lengths(data: bytes, path: Path) -> None:
+def split_cells(body: bytes, width: int, path: Path, first: int, separator: str = ",") -> pl.Series:
+    """The cells of all rows, of which the first is line `first`, as text, one row after another.
+
+    Raises:
+        InputError: a row has more or fewer cells than `width`, or is quoted in no way of CSV.
+    """
+    if b'"' in body:
+        rows = csv_rows(body, path, first, separator, width)
+        return pl.Series("", [cell for row in rows for cell in row], dtype=pl.String)
+    _check_widths(body, width, path, first, separator)
+    lines = body.replace(separator.encode(), b"\n")
+    return _text(b"0\n" + lines + b"\n", separator)[1:].to_series()
+
+
+def _check_lengths(data: bytes, path: Path, separator: str) -> None:
     """Refuse what no name and no number is long enough for."""
     characters = np.frombuffer(data, dtype=np.uint8)
-    ends = np.flatnonzero((characters == ord(",")) | (characters == ord("\n")))
+    ends = np.flatnonzero((characters == ord(separator)) | (characters == ord("\n")))
     lengths = np.diff(ends, prepend=-1, append=len(data)) - 1
     bad = np.flatnonzero(lengths > CELL_BYTES)
     if bad.size:
@@ -155,38 +184,41 @@ def _check_lengths(data: bytes, path: Path) -> None:
         )
 
 
-def _check_widths(body: bytes, width: int, path: Path) -> None:
+def _check_widths(body: bytes, width: int, path: Path, first: int, separator: str = ",") -> None:
     # Polars pads short rows in silence, so the commas of each line are counted here.
     characters = np.frombuffer(body, dtype=np.uint8)
     ends = np.append(np.flatnonzero(characters == ord("\n")), len(characters))
-    commas = np.flatnonzero(characters == ord(","))
+    commas = np.flatnonzero(characters == ord(separator))
     cells = np.diff(np.searchsorted(commas, ends), prepend=0) + 1
     bad = np.flatnonzero(cells != width)
     if bad.size:
-        _ragged(path, int(bad[0]) + 2, int(cells[bad[0]]), width)
+        _ragged(path, int(bad[0]) + first, int(cells[bad[0]]), width)
 
 
-def _quoted(body: bytes, header: Sequence[str], path: Path) -> list[pl.Series]:
+def csv_rows(
+    body: bytes, path: Path, first: int, separator: str = ",", width: int | None = None
+) -> list[list[str]]:
+    """The cells of each line, of which the first is line `first`; `InputError` as `split_cells`."""
     # Quotes may hide commas and line ends; such files are small enough for the slow way.
     # Strict: `"1"2` is no way of writing 12.
-    reader = csv.reader(io.StringIO(body.decode("utf-8"), newline=""), strict=True)
+    text = io.StringIO(body.decode("utf-8"), newline="")
+    reader = csv.reader(text, delimiter=separator, strict=True)
     rows: list[list[str]] = []
     while True:
-        row = len(rows) + 2
+        row = len(rows) + first
         try:
             cells = next(reader, None)
         except csv.Error:
             _misquoted(path, row)
         if cells is None:
-            break
-        if reader.line_num + 1 != row:
+            return rows
+        if reader.line_num + first - 1 != row:
             raise InputError(
                 f"{path}: a cell in row {row} has a line break, which no cell may have: remove it"
             )
-        if len(cells) != len(header):
-            _ragged(path, row, len(cells), len(header))
+        if width is not None and len(cells) != width:
+            _ragged(path, row, len(cells), width)
         rows.append(cells)
-    return [pl.Series("", list(column), dtype=pl.String) for column in zip(*rows, strict=True)]
 
 
 def _misquoted(path: Path, row: int) -> NoReturn:
@@ -245,7 +277,7 @@ def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
             texts = [None if text is None else str(text).strip() or None for text in series]
             values[channel.name] = np.array(texts, dtype=object)
             continue
-        numbers = channel.to_si(_numbers(series, where, first_row))
+        numbers = channel.to_si(numbers_of(series, [where], first_row))
         if channel.kind == "time":
             times = numbers
         else:
@@ -265,7 +297,7 @@ def read_numbers(path: Path) -> dict[str, npt.NDArray[np.float64]]:
     for name, series in zip(header, columns, strict=True):
         if name in found:
             raise InputError(f"{path} has the column {shown(name, 40)} twice: remove one")
-        found[name] = _numbers(series, f"{path}: column {shown(name, 40)}", first_row)
+        found[name] = numbers_of(series, [f"{path}: column {shown(name, 40)}"], first_row)
     return found
 
 
@@ -332,8 +364,13 @@ def _renamed(header: Sequence[str], rename: Mapping[str, str], path: Path) -> li
     return names
 
 
-def _numbers(series: pl.Series, where: str, first_row: int) -> npt.NDArray[np.float64]:
-    """Numbers of a column, NaN where nothing was measured."""
+def numbers_of(
+    series: pl.Series, columns: Sequence[str], first_row: int
+) -> npt.NDArray[np.float64]:
+    """Numbers of the cells of columns, row by row, NaN where nothing was measured.
+
+    An `InputError` says in which column and row of the file a cell has no number.
+    """
     if series.dtype == pl.Categorical:
         series = series.cast(pl.String)
     array = np.array(series.cast(pl.Float64, strict=False).to_numpy(), dtype=np.float64)
@@ -350,8 +387,9 @@ def _numbers(series: pl.Series, where: str, first_row: int) -> npt.NDArray[np.fl
         elif _NUMBER.fullmatch(text):
             array[index] = float(text)
         else:
+            row, column = divmod(int(index), len(columns))
             raise InputError(
-                f"{where} has {shown(text, 40)} in row {int(index) + first_row}, but must have a "
-                "number or an empty cell: correct it"
+                f"{columns[column]} has {shown(text, 40)} in row {row + first_row}, but must have "
+                "a number or an empty cell: correct it"
             )
     return array

@@ -1,8 +1,7 @@
 """Points that another program tracked in a film, and the run that they make."""
 
-import csv
-import io
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,12 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ..runtime.files import read_text
-from ..runtime.limits import RUN_BYTES
+from ..runtime.limits import RUN_BYTES, VALUE
 from ..runtime.text import InputError, one_of, shown
 from ._channels import Channel, column_table
-from ._table import read_table
+from ._table import csv_lines, csv_rows, numbers_of, read_table, split_cells
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
+
+_SAID = ("scorer", "bodyparts", "coords")
+_HEADERS = 4  # rows of DeepLabCut that are no pictures, at most
 
 
 @dataclass(frozen=True)
@@ -53,38 +55,42 @@ def read_deeplabcut(path: str | Path, *, rate: float, likelihood: float = 0.6) -
     path = Path(path)
     if not (np.isfinite(rate) and rate > 0):
         raise InputError(f"the rate is {rate:g}: give the pictures a second, a positive number")
-    rows = list(csv.reader(io.StringIO(_text(path), newline="")))
+    data = csv_lines(_content(path), path)
+    lines = data.split(b"\n", _HEADERS)
     header: dict[str, list[str]] = {}
-    for row in rows[:4]:
-        if row and row[0] in ("scorer", "individuals", "bodyparts", "coords"):
-            header[row[0]] = row[1:]
-    if not {"scorer", "bodyparts", "coords"} <= set(header):
+    cells: list[str] = []
+    for number, line in enumerate(lines[:_HEADERS], 1):
+        if line.partition(b",")[0].strip(b'"').decode() not in (*_SAID, "individuals"):
+            break
+        width = len(cells) + 1 if header else None
+        ((kind, *cells),) = csv_rows(line, path, number, width=width)
+        header[kind] = cells
+    if not set(_SAID) <= set(header):
         raise InputError(
             f"{path} is not a file of DeepLabCut: it must begin with the rows scorer, bodyparts "
             "and coords, so give its CSV file of a film"
         )
-    body = [row for row in rows[len(header) :] if row]
-    names = header["bodyparts"]
+    names, coordinates = header["bodyparts"], header["coords"]
     if "individuals" in header:
-        names = [f"{of}/{name}" for of, name in zip(header["individuals"], names, strict=False)]
-    table = _numbers(path, body, len(header) + 1, width=len(header["coords"]) + 1)
+        names = [f"{of}/{name}" for of, name in zip(header["individuals"], names, strict=True)]
+    body = b"\n".join(lines[len(header) :])
+    labels = [f"{name} {kind}" for name, kind in zip(names, coordinates, strict=True)]
+    table = _numbers(path, body, ["picture", *labels], len(header) + 1)
+    columns: dict[str, dict[str, npt.NDArray[np.float64]]] = {}
+    for name, kind, column in zip(names, coordinates, table.T[1:], strict=True):
+        if kind in columns.setdefault(name, {}):
+            raise _twice(path, name)
+        columns[name][kind] = column
     points: dict[str, npt.NDArray[np.float64]] = {}
-    for name in dict.fromkeys(names):
-        column = {
-            coordinate: place + 1
-            for place, (of, coordinate) in enumerate(zip(names, header["coords"], strict=True))
-            if of == name
-        }
-        if not {"x", "y"} <= set(column):
+    for name, found in columns.items():
+        if not {"x", "y"} <= set(found):
             raise InputError(
                 f"{path}: {shown(name)} has no columns x and y: export the file again with both"
             )
-        found = table[:, [column["x"], column["y"]]]
-        if "likelihood" in column:
+        points[name] = np.stack([found["x"], found["y"]], axis=1)
+        if "likelihood" in found:
             # Not found, where it does not say how likely.
-            likely = np.nan_to_num(table[:, column["likelihood"]]) >= likelihood
-            found = np.where(likely[:, None], found, np.nan)
-        points[name] = found
+            points[name][np.nan_to_num(found["likelihood"]) < likelihood] = np.nan
     return _checked(path, table[:, 0] / rate, points)
 
 
@@ -113,11 +119,10 @@ def read_kinovea(
     path = Path(path)
     if time_unit not in TIME_UNITS:
         raise InputError(f"times in {time_unit!r}: give {one_of(list(TIME_UNITS))}")
-    text = _text(path)
-    first = text.split("\n", 1)[0].rstrip("\r")
-    separator = ";" if first.startswith(('"Time";', "Time;")) else ","
-    rows = [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=separator) if row]
-    header = rows[0] if rows else []
+    data = _content(path)
+    separator = ";" if data.startswith((b'"Time";', b"Time;")) else ","
+    head, _, body = csv_lines(data, path, separator).partition(b"\n")
+    header = [cell for cells in csv_rows(head, path, 1, separator) for cell in cells]
     pairs = list(zip(header[1::2], header[2::2], strict=False))
     good = all(
         x[-2:] == "/X" and y[-2:] == "/Y" and x[:-2] == y[:-2] and "/" in x[:-2] for x, y in pairs
@@ -127,44 +132,55 @@ def read_kinovea(
             f"{path} is not a file of Kinovea: its first row must be Time, name/point/X, "
             "name/point/Y, and so on, so export the measured data as CSV"
         )
-    body = [[cell.replace(",", ".") for cell in row] for row in rows[1:]]
-    table = _numbers(path, body, 2, width=len(header))
+    table = _numbers(path, body, header, 2, separator, decimal_comma=True)
     names = [x[:-2] for x, _ in pairs]
-    tracks = [name.rpartition("/")[0] for name in names]
-    points = {}
-    for place, (name, track) in enumerate(zip(names, tracks, strict=True)):
+    tracks = Counter(name.rpartition("/")[0] for name in names)
+    points: dict[str, npt.NDArray[np.float64]] = {}
+    for place, name in enumerate(names):
         right, up = table[:, 2 * place + 1], table[:, 2 * place + 2]
-        called = track if tracks.count(track) == 1 else name
+        track = name.rpartition("/")[0]
+        called = track if tracks[track] == 1 else name
+        if called in points:
+            raise _twice(path, called)
         points[called] = np.stack([origin[0] + right, origin[1] - up], axis=1)
     return _checked(path, table[:, 0] * TIME_UNITS[time_unit], points)
 
 
-def _text(path: Path) -> str:
-    return read_text(path, RUN_BYTES, "a CSV file", "the file of tracked points")
+def _content(path: Path) -> bytes:
+    return read_text(path, RUN_BYTES, "a CSV file", "the file of tracked points").encode()
+
+
+def _twice(path: Path, name: str) -> InputError:
+    return InputError(
+        f"{path} has two points that are called {shown(name)}: rename one, and export it again"
+    )
 
 
 def _numbers(
-    path: Path, rows: list[list[str]], first: int, *, width: int
+    path: Path,
+    body: bytes,
+    names: Sequence[str],
+    first: int,
+    separator: str = ",",
+    *,
+    decimal_comma: bool = False,
 ) -> npt.NDArray[np.float64]:
-    """Cells as numbers, NaN where one is empty, shape (row, width)."""
-    if not rows:
+    """Numbers of the rows, of which the first is line `first`, by the contract of runs."""
+    if not body:
         raise InputError(f"{path} has a header but no rows: it must have pictures, so add them")
-    table = np.full((len(rows), width), np.nan)
-    for place, row in enumerate(rows):
-        if len(row) != width:
-            raise InputError(
-                f"{path}: row {place + first} has {len(row)} cells, but the header has {width} "
-                "columns: correct the row"
-            )
-        for column, cell in enumerate(row):
-            try:
-                table[place, column] = float(cell) if cell.strip() else np.nan
-            except ValueError:
-                raise InputError(
-                    f"{path}: row {place + first} has {shown(cell)}, which must be a number: "
-                    "correct it, or export the points of a film"
-                ) from None
-    return table
+    cells = split_cells(body, len(names), path, first, separator)
+    columns = [f"{path}: column {shown(name, 40)}" for name in names]
+    if decimal_comma:
+        cells = cells.str.replace(",", ".", literal=True)
+    table = numbers_of(cells, columns, first)
+    bad = np.flatnonzero(np.abs(table) > VALUE)
+    if bad.size:
+        row, column = divmod(int(bad[0]), len(names))
+        raise InputError(
+            f"{columns[column]} has {table[bad[0]]:g} in row {row + first}, but may have "
+            f"{VALUE:g} at most: correct it, or leave the cell empty"
+        )
+    return table.reshape(-1, len(names))
 
 
 def _checked(
