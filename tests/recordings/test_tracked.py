@@ -205,7 +205,7 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ([], "give --rate for a file of DeepLabCut"),
+        ([], "DeepLabCut counts pictures: give --frame-rate"),
         (["--rate", "50"], "no tracked point is a channel"),
         (["--rate", "50", "--point", "nose=tip"], "there is no tracked point 'nose'"),
         (["--rate", "50", "--point", "elbow=wrist"], "is called 'wrist', which a camera does not"),

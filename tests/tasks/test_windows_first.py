@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from giajax import FitTask, InputError, Run, model_for, predict
+from giajax import FitTask, InputError, Run, model_for, predict, read_run
 from giajax.cli import main
 from giajax.fitting import load_result
-from giajax.recordings import write_run
+from giajax.recordings import windows, write_run
+from giajax.tasks import with_warm_start
 
 TRUTH, NOISE_DEG = 0.6, 0.05
 ARM = {"preset": "pendulum", "links": 1, "parameters": {"links.mass": 0.3}}
@@ -58,6 +59,40 @@ def test_a_frequency_that_is_far_off_is_found(recording, tmp_path, capsys):
     again = capsys.readouterr()
     assert "windows" not in again.err
     assert "the numbers are the same, bit for bit" in again.out
+
+
+@pytest.mark.slow
+def test_a_gyroscope_alone_says_where_windows_begin(recording, tmp_path):
+    """Rates without angles: each window begins about its rest, and its state is found."""
+    run = read_run(recording)
+    angle = run.values["joint01_angle"]
+    rate = np.gradient(angle, run.times) + 0.002 * np.random.default_rng(2).normal(size=len(angle))
+    swing = Run.from_arrays(
+        run.times,
+        {"joint01_rate": rate},
+        definition={"arm": ARM, "initial": {"free": True, "first_row": True}},
+    )
+    path = write_run(tmp_path / "swing.csv", swing.times, swing.values, definition=swing.definition)
+    task = FitTask.of(path).on_top(free=FREE, start=START, windows_first_s=3.0)
+    found = with_warm_start(task).run(check=False)
+    estimate = found.parameters["links.centre_of_mass[0]"]
+    assert found.status == "converged"
+    assert abs(estimate.value - TRUTH) < 0.005
+
+
+def resting(**initial):
+    about = {"arm": ARM, "initial": initial} if initial else {"free_motion": True}
+    return Run.from_arrays(np.arange(9.0), {"joint01_rate": np.zeros(9)}, definition=about)
+
+
+def test_what_one_sentence_advises_is_no_error_of_the_next():
+    with pytest.raises(InputError, match="and free = true where angles are not recorded"):
+        windows(resting(), 4.0)
+    with pytest.raises(InputError, match="let the fit find the state with free = true"):
+        model_for([resting(first_row=True)]).prepare(resting(first_row=True))
+    run = resting(first_row=True, free=True)
+    assert len(windows(run, 4.0)) == 2
+    model_for([run]).prepare(run)
 
 
 @pytest.mark.quick

@@ -119,25 +119,65 @@ def init(
 
 @command("""\b
 Examples:
-  giajax import filmDLC_resnet50.csv --rate 60 --camera side --out run.csv \\
+  giajax import filmDLC_resnet50.csv --frame-rate 60 --camera side --out run.csv \\
          --point elbow=link03 --point tip=tip --commands log.csv
-  giajax import trajectories.csv --kinovea-origin 0,1079 --camera side --out run.csv \\
+  giajax import tracker.txt --unit m --point mass_A=tip --out run.csv
+  giajax import trajectories.csv --origin 0,1079 --camera side --out run.csv \\
          --point "Marker 1"=link03
-Then: giajax init run.csv, which offers the camera's section, and giajax fit --data run.csv.""")
+  giajax import take.csv --point Arm:tip=tip --from-time 2 --until 20 --out run.csv
+  giajax import RawData.csv --point Gyroscope=imu01 --out run.csv
+  giajax import spreadsheet.csv --rename t=time_s --ignore "note*" --out run.csv
+Then: giajax init run.csv, which offers each camera its section; giajax fit --data run.csv.""")
 def import_(
-    tracked: Annotated[Path, argument("FILE", "A CSV file of DeepLabCut or of Kinovea.")],
+    file: Annotated[
+        Path,
+        argument(
+            "FILE",
+            "A table of DeepLabCut, SLEAP, anipose, Kinovea, Tracker, OptiTrack Motive or phyphox, "
+            "or one whose columns giajax knows: with commas, semicolons or tabs between cells.",
+        ),
+    ],
     out: Annotated[Path, "FILE", "The run to write, a .csv file."],
-    point: Annotated[Texts, "NAME=PART", "What a tracked point is: link06, tip or mark01."] = None,
-    camera: Annotated[str | None, "NAME", "The camera; needed where there are several."] = None,
-    rate: Annotated[float | None, "HZ", "DeepLabCut: pictures a second of the film."] = None,
-    likelihood: Annotated[float, "P", "DeepLabCut: a less likely point is left empty."] = 0.6,
-    kinovea_origin: Annotated[
-        str | None,
-        "U,V",
-        "Kinovea: where the origin of its coordinates is in the picture, px, from the "
-        "upper left corner.",
+    point: Annotated[
+        Texts,
+        "NAME=PART",
+        "What a tracked point, sensor or joint of the file is: link06, tip, mark01, imu06, "
+        "joint01, or a channel.",
     ] = None,
-    time_unit: Annotated[str, "UNIT", "Kinovea: unit of its times, s or ms."] = "s",
+    camera: Annotated[str | None, "NAME", "The camera; needed where there are several."] = None,
+    frame_rate: Annotated[
+        float | None,
+        "--frame-rate",
+        "--rate",
+        "HZ",
+        "Pictures a second of the film; in place of the times of a file that has some.",
+    ] = None,
+    likelihood: Annotated[float, "P", "A less likely point is left empty."] = 0.6,
+    unit: Annotated[
+        str | None, "UNIT", "Of lengths in a file that does not say it: m, cm or mm."
+    ] = None,
+    origin: Annotated[
+        str | None,
+        "--origin",
+        "--kinovea-origin",
+        "U,V",
+        "Of coordinates that Kinovea or Tracker counts in px, upwards: where their origin is in "
+        "the picture, from the upper left corner.",
+    ] = None,
+    axes: Annotated[
+        str | None,
+        "AXES",
+        "The axes of the base that the coordinates of the file are, such as x,z of a film from the "
+        "side, x,y of one from above, x,z,-y of space.",
+    ] = None,
+    flip: Annotated[Texts, "NAME", "Change the sign of an axis, such as z, or channel."] = None,
+    time_unit: Annotated[str, "UNIT", "Of times in a file of Kinovea: s or ms."] = "s",
+    offset: Annotated[float, "S", "Add so much to the times of the file."] = 0.0,
+    from_time: Annotated[float | None, "S", "Leave out what is earlier, by these times."] = None,
+    until: Annotated[float | None, "S", "Leave out what is later."] = None,
+    rename: Renamed = None,
+    only: Annotated[Texts, "NAME", "Only this of the file, or this channel; tip* for many."] = None,
+    ignore: Annotated[Texts, "NAME", "Without this of the file, or this channel."] = None,
     commands: Annotated[
         Path | None,
         "FILE",
@@ -145,52 +185,67 @@ def import_(
     ] = None,
     force: ForceRun = False,
 ) -> None:
-    """Make a run of points that DeepLabCut or Kinovea tracked in a film.
+    """Make a run of what another program tracked or measured.
 
-    Each point becomes the pixel channels of a link, of the tip or of a landmark. Commands of
-    another rate keep their own rows.
+    Which program it was is read from the file. Each point becomes the channels of a link, of the
+    tip or of a landmark, in pixels or in space. Commands of another rate keep their own rows.
     """
     import numpy as np
 
     from ..recordings import (
-        filmed,
+        ImportSettings,
+        channels_of,
         filmed_beside,
+        kept_rows,
         parse_rename,
         read_beside,
-        read_deeplabcut,
-        read_kinovea,
+        read_foreign,
         write_run,
     )
 
-    if (rate is None) == (kinovea_origin is None):
-        raise InputError(
-            "give --rate for a file of DeepLabCut, or --kinovea-origin for one of Kinovea"
-        )
-    if rate is not None:
-        points = read_deeplabcut(tracked, rate=rate, likelihood=likelihood)
-    else:
-        place = numbers(kinovea_origin or "", 2)
-        if place is None:
+    place = None if origin is None else numbers(origin, 2)
+    if origin is not None and place is None:
+        raise InputError(f"--origin {origin!r} must be two numbers: write it like 0,1079")
+    how = ImportSettings(
+        frame_rate=frame_rate,
+        likelihood=likelihood,
+        time_unit=time_unit,
+        unit=unit,
+        origin=None if place is None else (place[0], place[1]),
+        axes=None if axes is None else tuple(axes.split(",")),
+        rename=parse_rename(rename or []),
+        only=only or (),
+        ignore=ignore or (),
+        flip=flip or (),
+        offset=offset,
+        start=-np.inf if from_time is None else from_time,
+        stop=np.inf if until is None else until,
+    )
+    table = read_foreign(file, how)
+    values = channels_of(table, parse_rename(point or [], "--point"), camera, how)
+    times, rows = kept_rows(table, how)
+    values = {name: column[rows] for name, column in values.items()}
+    measured = {n: c for n, c in values.items() if c.dtype.kind == "f" and n not in table.channels}
+    for name, column in measured.items():
+        if not np.any(np.isfinite(column)):
             raise InputError(
-                f"--kinovea-origin {kinovea_origin!r} must be two numbers: write it like 0,1079"
-            )
-        points = read_kinovea(tracked, origin=(place[0], place[1]), time_unit=time_unit)
-    values = filmed(points, parse_rename(point or [], "--point"), camera)
-    seen = {name: int(np.isfinite(column).sum()) for name, column in values.items()}
-    for name, count in seen.items():
-        if count == 0:
-            raise InputError(
-                f"{tracked} has no picture in which the point of {name} was found: leave it out, "
+                f"{file} has no picture in which the point of {name} was found: leave it out, "
                 "or lower --likelihood"
             )
-    times, table = points.times, values
+    # Coordinates of a point are found together.
+    found = {name.rpartition("_")[0]: np.isfinite(column) for name, column in measured.items()}
+    count = len(next(iter(values.values())))
     if commands is not None:
-        times, table = filmed_beside(times, values, read_beside(commands))
-    write_run(out, times, table, digits=9, force=force)
-    cells = sum(seen.values()) // 2
+        if times is None:
+            raise InputError(f"{file} has no times: give --frame-rate, the rows a second")
+        times, values = filmed_beside(times, values, read_beside(commands))
+    write_run(out, times, values, digits=9, force=force)
+    what = f"{count} rows of {len(values)} channels"
+    if found:
+        points = sum(int(seen.sum()) for seen in found.values())
+        what = f"{count} pictures, {points} points found of {len(found) * count}"
     typer.echo(
-        f"wrote {out}: {len(points.times)} pictures, {cells} points found of "
-        f"{len(values) // 2 * len(points.times)}; next: giajax init {shlex.quote(str(out))}"
+        f"wrote {out}, from {table.program}: {what}; next: giajax init {shlex.quote(str(out))}"
     )
 
 

@@ -100,29 +100,48 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
                 )
             state.append(np.broadcast_to(values, (joints,)))
         return state[0], state[1]
-    rates = [run.values.get(f"joint{joint:02d}_rate") for joint in range(1, joints + 1)]
-    recorded = all(rate is not None and np.isfinite(rate[0]) for rate in rates)
-    angles, slopes = np.zeros(joints), np.zeros(joints)
-    for joint in range(1, joints + 1):
-        column = run.values.get(f"joint{joint:02d}_angle")
-        if column is None or not np.isfinite(column[0]):
+    angles, rates = np.zeros(joints), np.zeros(joints)
+    recorded = True
+    for joint in range(joints):
+        name = f"joint{joint + 1:02d}"
+        angle, rate = (
+            np.full(len(times), np.nan) if column is None else column
+            for column in (run.values.get(f"{name}_{kind}") for kind in ("angle", "rate"))
+        )
+        if np.isfinite(angle[0]):
+            angles[joint] = angle[0]
+        elif section.free:
+            angles[joint] = _swung(times, rate)
+        else:
             raise InputError(
-                f"[initial] of '{run.name}' says first_row = true, but joint{joint:02d}_angle has "
-                "no value there: record the angle of every joint, or state angle_deg"
+                f"[initial] of '{run.name}' says first_row = true, but {name}_angle has "
+                "no value there: record the angle of every joint, state angle_deg, or let the fit "
+                "find the state with free = true"
             )
-        angles[joint - 1] = column[0]
-        measured = np.isfinite(column[:_ROWS])
-        if np.sum(measured) >= 2:
-            since = times[:_ROWS][measured] - times[0]
-            slopes[joint - 1] = np.polyfit(since, column[:_ROWS][measured], 1)[0]
-    if recorded:
-        return angles, np.asarray([float(rate[0]) for rate in rates if rate is not None])
-    if not section.free:
+        measured = np.isfinite(angle[:_ROWS])
+        if np.isfinite(rate[0]):
+            rates[joint] = rate[0]
+        else:
+            recorded = False
+            if np.sum(measured) >= 2:
+                since = times[:_ROWS][measured] - times[0]
+                rates[joint] = np.polyfit(since, angle[:_ROWS][measured], 1)[0]
+    if not (recorded or section.free):
         raise InputError(
             f"[initial] of '{run.name}' says first_row = true, but the rate of a joint has no "
             "value there: record the rates, or let the fit find them with free = true"
         )
-    return angles, slopes
+    return angles, rates
+
+
+def _swung(times: np.ndarray, rate: np.ndarray) -> float:
+    """About the angle at the first row of a joint that swings about 0, from its rates alone."""
+    known = np.isfinite(rate)
+    if np.sum(known) < 2:
+        return 0.0
+    rate, steps = rate[known], np.diff(times[known])
+    turned = np.concatenate([[0.0], np.cumsum(steps * (rate[1:] + rate[:-1]) / 2)])
+    return -float(np.mean(turned))
 
 
 class InitialState(eqx.Module):

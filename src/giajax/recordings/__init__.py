@@ -29,6 +29,17 @@ from ._fit_sections import (
     deviation_of as deviation_of,
     seconds_of as seconds_of,
 )
+from ._foreign import (
+    FORMATS as FORMATS,
+    AbstractFormat as AbstractFormat,
+    ForeignColumn as ForeignColumn,
+    ForeignTable as ForeignTable,
+    ImportSettings as ImportSettings,
+    Sheet as Sheet,
+    channels_of as channels_of,
+    kept_rows as kept_rows,
+    read_foreign as read_foreign,
+)
 from ._hold_out import SplitRun as SplitRun, hold_out as hold_out, split_run as split_run
 from ._plausible import oddities as oddities
 from ._plausible_columns import Oddity as Oddity

@@ -76,7 +76,8 @@ def _at_equilibrium(look: Look) -> Iterator[Oddity]:
             "start",
             f"{moving[0]} moves, but a free motion whose [initial] state is not stated begins "
             "at the equilibrium, where nothing moves",
-            "state first_row = true in [initial], or angle_deg and rate_deg_per_s",
+            "state first_row = true in [initial], and free = true where angles are not recorded, "
+            "or angle_deg and rate_deg_per_s",
             tuple(moving),
         )
 

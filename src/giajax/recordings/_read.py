@@ -121,7 +121,7 @@ def windows(run: Run, length: float) -> list[Run]:
     if not run.definition.section(InitialSection).first_row:
         raise InputError(
             f"'{run.name}' cannot be cut into windows, because each needs its own initial state: "
-            "say first_row = true in [initial]"
+            "say first_row = true in [initial], and free = true where angles are not recorded"
         )
     count = max(np.floor((run.times[-1] - run.times[0]) / length + 0.5), 1)
     rows = np.zeros(2, dtype=int)

@@ -131,7 +131,8 @@ def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]
             if separator in header[0]:
                 raise InputError(
                     f"{path} separates its cells with {called}, but must do so with commas "
-                    "(and write numbers with a decimal point): export it again"
+                    "(and write numbers with a decimal point): export it again, or make a run of "
+                    "it with giajax import"
                 )
     if not body:
         return header, [], 2
@@ -192,7 +193,7 @@ def _check_widths(body: bytes, width: int, path: Path, first: int, separator: st
     cells = np.diff(np.searchsorted(commas, ends), prepend=0) + 1
     bad = np.flatnonzero(cells != width)
     if bad.size:
-        _ragged(path, int(bad[0]) + first, int(cells[bad[0]]), width)
+        ragged(path, int(bad[0]) + first, int(cells[bad[0]]), width)
 
 
 def csv_rows(
@@ -217,7 +218,7 @@ def csv_rows(
                 f"{path}: a cell in row {row} has a line break, which no cell may have: remove it"
             )
         if width is not None and len(cells) != width:
-            _ragged(path, row, len(cells), width)
+            ragged(path, row, len(cells), width)
         rows.append(cells)
 
 
@@ -228,7 +229,8 @@ def _misquoted(path: Path, row: int) -> NoReturn:
     )
 
 
-def _ragged(path: Path, row: int, cells: int, width: int) -> NoReturn:
+def ragged(path: Path, row: int, cells: int, width: int) -> NoReturn:
+    """Say that a row has not as many cells as the header names columns (`InputError`)."""
     raise InputError(
         f"{path}: row {row} has {cells} cell{'s' * (cells != 1)}, but the header names {width} "
         "columns: give every row one cell for each column, empty where not measured"
