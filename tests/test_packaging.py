@@ -18,7 +18,7 @@ from giajax.fitting import load_result
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 VERSION = PROJECT["version"]
-EXTRAS = ("bench", "mujoco", "report", "view", "cluster", "posterior", "docs", "test")
+EXTRAS = ("bench", "mujoco", "report", "view", "cluster", "posterior", "ros", "docs", "test")
 
 
 def pinned(name):

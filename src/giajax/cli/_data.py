@@ -126,6 +126,8 @@ Examples:
          --point "Marker 1"=link03
   giajax import take.csv --point Arm:tip=tip --from-time 2 --until 20 --out run.csv
   giajax import RawData.csv --point Gyroscope=imu01 --out run.csv
+  giajax import bag --point /joint_states/shoulder=joint01 --out run.csv \\
+         --point "/commands/shoulder position=joint01_command"
   giajax import spreadsheet.csv --rename t=time_s --ignore "note*" --out run.csv
 Then: giajax init run.csv, which offers each camera its section; giajax fit --data run.csv.""")
 def import_(
@@ -134,7 +136,8 @@ def import_(
         argument(
             "FILE",
             "A table of DeepLabCut, SLEAP, anipose, Kinovea, Tracker, OptiTrack Motive or phyphox, "
-            "or one whose columns giajax knows: with commas, semicolons or tabs between cells.",
+            "or one whose columns giajax knows, with commas, semicolons or tabs between cells; or "
+            "a bag of ROS 2, a folder, .mcap or .db3 (pip install 'giajax[ros]').",
         ),
     ],
     out: Annotated[Path, "FILE", "The run to write, a .csv file."],
@@ -196,10 +199,10 @@ def import_(
         ImportSettings,
         channels_of,
         filmed_beside,
-        kept_rows,
         parse_rename,
         read_beside,
         read_foreign,
+        rows_kept,
         write_run,
     )
 
@@ -223,8 +226,7 @@ def import_(
     )
     table = read_foreign(file, how)
     values = channels_of(table, parse_rename(point or [], "--point"), camera, how)
-    times, rows = kept_rows(table, how)
-    values = {name: column[rows] for name, column in values.items()}
+    times, values = rows_kept(table, values, how)
     measured = {n: c for n, c in values.items() if c.dtype.kind == "f" and n not in table.channels}
     for name, column in measured.items():
         if not np.any(np.isfinite(column)):
@@ -242,8 +244,10 @@ def import_(
     write_run(out, times, values, digits=9, force=force)
     what = f"{count} rows of {len(values)} channels"
     if found:
-        points = sum(int(seen.sum()) for seen in found.values())
-        what = f"{count} pictures, {points} points found of {len(found) * count}"
+        seen = sum(int(each.sum()) for each in found.values())
+        shown = {column.quantity for columns in table.things.values() for column in columns}
+        rows, cells = ("pictures", "points") if shown & {"pixel", "length"} else ("rows", "values")
+        what = f"{count} {rows}, {seen} {cells} found of {len(found) * count}"
     typer.echo(
         f"wrote {out}, from {table.program}: {what}; next: giajax init {shlex.quote(str(out))}"
     )

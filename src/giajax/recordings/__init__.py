@@ -30,14 +30,16 @@ from ._fit_sections import (
     seconds_of as seconds_of,
 )
 from ._foreign import (
-    FORMATS as FORMATS,
-    AbstractFormat as AbstractFormat,
     ForeignColumn as ForeignColumn,
     ForeignTable as ForeignTable,
     ImportSettings as ImportSettings,
-    Sheet as Sheet,
     channels_of as channels_of,
-    kept_rows as kept_rows,
+    rows_kept as rows_kept,
+)
+from ._formats import (
+    FORMATS as FORMATS,
+    AbstractFormat as AbstractFormat,
+    Sheet as Sheet,
     read_foreign as read_foreign,
 )
 from ._hold_out import SplitRun as SplitRun, hold_out as hold_out, split_run as split_run

@@ -10,15 +10,8 @@ import numpy.typing as npt
 
 from ..runtime.text import InputError
 from ._channels import Channel, column_table
-from ._foreign import (
-    DeepLabCut,
-    ForeignColumn,
-    ForeignTable,
-    ImportSettings,
-    Kinovea,
-    channels_of,
-    read_foreign,
-)
+from ._foreign import ForeignColumn, ForeignTable, ImportSettings, channels_of
+from ._formats import DeepLabCut, Kinovea, read_foreign
 from ._table import read_table
 
 

@@ -1,0 +1,121 @@
+"""Bags of ROS 2, as folders or MCAP files: joints, poses and inertial sensors by their topics."""
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..runtime.files import check_path
+from ..runtime.text import InputError, tried
+from ._foreign import ForeignColumn, ForeignTable, ImportSettings, Numbers, placed, some
+
+_SUFFIXES = (".mcap", ".db3")
+_NS = 10**9
+
+
+class _Cell(NamedTuple):
+    """One number of a message: of which thing, its label and quantity, and the value, SI."""
+
+    thing: str
+    label: str
+    quantity: str
+    value: float
+
+
+def _joints(topic: str, message: Any) -> Iterator[_Cell]:
+    """`sensor_msgs/JointState`, whose three lists may each be empty."""
+    for label, quantity in (("position", "angle"), ("velocity", "angular_velocity")):
+        # Of a message with fewer names there are no further joints.
+        for name, value in zip(message.name, getattr(message, label), strict=False):
+            yield _Cell(f"{topic}/{name}", label, quantity, value)
+    for name, value in zip(message.name, message.effort, strict=False):
+        yield _Cell(f"{topic}/{name} effort", "", "torque", value)
+
+
+def _pose(topic: str, message: Any) -> Iterator[_Cell]:
+    for axis in "xyz":
+        yield _Cell(topic, axis, "length", getattr(message.position, axis))
+
+
+def _poses(topic: str, message: Any) -> Iterator[_Cell]:
+    for number, pose in enumerate(message.poses):
+        yield from _pose(f"{topic}/{number}", pose)
+
+
+def _inertial(topic: str, message: Any) -> Iterator[_Cell]:
+    """`sensor_msgs/Imu`: a covariance that begins with -1 says that there is no such sensor."""
+    for vector, covariance, quantity in (
+        (message.angular_velocity, message.angular_velocity_covariance, "angular_velocity"),
+        (message.linear_acceleration, message.linear_acceleration_covariance, "acceleration"),
+    ):
+        if covariance[0] != -1:
+            for axis in "xyz":
+                yield _Cell(topic, axis, quantity, getattr(vector, axis))
+
+
+_MESSAGES: Mapping[str, Callable[[str, Any], Iterator[_Cell]]] = {
+    "sensor_msgs/msg/JointState": _joints,
+    "geometry_msgs/msg/PoseArray": _poses,
+    "geometry_msgs/msg/PoseStamped": lambda topic, message: _pose(topic, message.pose),
+    "sensor_msgs/msg/Imu": _inertial,
+}
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is that of a folder or file as ROS 2 records it."""
+    return path.is_dir() or path.suffix.lower() in _SUFFIXES
+
+
+def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
+    """Read joints, poses and inertial sensors of a bag; times count from its first message.
+
+    A thing is called by its topic, `/imu`, a joint `/joint_states/shoulder`, and the first pose of
+    an array `/markers/0`. Times are those of the headers, where they have any, else of the bag.
+
+    Raises:
+        InputError: it is no bag, or has none of these messages, or `rosbags` is not installed.
+    """
+    check_path(path)
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise InputError(
+            'a bag needs rosbags, which is not installed: pip install "giajax[ros]"'
+        ) from None
+    if how.frame_rate is not None:
+        raise InputError(f"{path}: a bag has its own times: leave out --frame-rate")
+    series: dict[tuple[str, str, str], dict[int, float]] = {}
+    # Recorders of earlier distributions leave the definitions of the messages out.
+    store = get_typestore(Stores.LATEST)
+    with tried(f"reading {path} with rosbags"), AnyReader([path], default_typestore=store) as bag:
+        topics = [f"{each.topic} ({each.msgtype})" for each in bag.connections]
+        known = [each for each in bag.connections if each.msgtype in _MESSAGES]
+        for connection, received, data in bag.messages(known) if known else ():
+            message: Any = bag.deserialize(data, connection.msgtype)
+            stamp = message.header.stamp
+            moment = stamp.sec * _NS + stamp.nanosec or received
+            for thing, label, quantity, value in _MESSAGES[connection.msgtype](
+                connection.topic, message
+            ):
+                series.setdefault((thing, label, quantity), {})[moment] = float(value)
+    if not series:
+        kinds = ", ".join(kind.replace("/msg/", "/") for kind in _MESSAGES)
+        raise InputError(
+            f"{path} has no message of {kinds}, but {some(topics) or 'none'}: give another bag"
+        )
+    moments = np.unique(
+        np.concatenate([np.array([*one], dtype=np.int64) for one in series.values()])
+    )
+    things: dict[str, list[ForeignColumn]] = {}
+    for (thing, label, quantity), found in series.items():
+        values: Numbers = np.full(len(moments), np.nan)
+        values[np.searchsorted(moments, np.array([*found], dtype=np.int64))] = [*found.values()]
+        things.setdefault(thing, []).append(ForeignColumn(label, quantity, values))
+    for thing, columns in things.items():
+        if columns[0].quantity == "length":
+            metres = [column.values for column in columns]
+            things[thing] = placed(metres, how.axes or "xyz", f"{path}: {thing}")
+    times = (moments - moments[0]) / _NS
+    return ForeignTable("a bag of ROS 2", times, things, merged=True)

@@ -1,0 +1,179 @@
+"""Bags as ROS 2 writes them, without ROS: what is in them, and two commands to a fit."""
+
+import sys
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from giajax import InputError, Run, load_result, model_for, predict
+from giajax.cli import main
+from giajax.recordings import ImportSettings, channels_of, read_foreign, rows_kept
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+BEGAN = 1_700_000_000  # s since 1970, as clocks of robots show it
+
+
+def of(kind):
+    return STORE.types[kind]
+
+
+def header(time, frame=""):
+    nanoseconds = round((BEGAN + time) * 1e9) if time is not None else 0
+    stamp = of("builtin_interfaces/msg/Time")(*divmod(nanoseconds, 10**9))
+    return of("std_msgs/msg/Header")(stamp, frame)
+
+
+def joints(time, names, position=(), velocity=(), effort=()):
+    lists = (np.array(each, dtype=float) for each in (position, velocity, effort))
+    return of("sensor_msgs/msg/JointState")(header(time), list(names), *lists)
+
+
+def poses(time, *points):
+    still = of("geometry_msgs/msg/Quaternion")(0.0, 0.0, 0.0, 1.0)
+    point = of("geometry_msgs/msg/Point")
+    made = [of("geometry_msgs/msg/Pose")(point(*each), still) for each in points]
+    return of("geometry_msgs/msg/PoseArray")(header(time), made)
+
+
+def pose(time, point):
+    return of("geometry_msgs/msg/PoseStamped")(header(time), poses(time, point).poses[0])
+
+
+def inertial(time, gyro, accel, known=0.0):
+    vector, nothing = of("geometry_msgs/msg/Vector3"), np.zeros(9)
+    still = of("geometry_msgs/msg/Quaternion")(0.0, 0.0, 0.0, 1.0)
+    covariance = np.r_[known, np.zeros(8)]
+    return of("sensor_msgs/msg/Imu")(
+        header(time), still, nothing, vector(*gyro), nothing, vector(*accel), covariance
+    )
+
+
+def write_bag(folder, topics, name="bag", plugin=StoragePlugin.SQLITE3):
+    """A bag of (topic, time in the bag, message); its path."""
+    path = folder / name
+    with Writer(path, version=9, storage_plugin=plugin) as writer:
+        connections = {}
+        for topic, time, message in topics:
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
+            data = STORE.serialize_cdr(message, kind)
+            writer.write(connections[topic], round((BEGAN + time) * 1e9), data)
+    return path
+
+
+TOPICS = [
+    ("/joint_states", 0.0, joints(0.0, ["shoulder", "elbow"], [0.1, 0.2], [1.0, 2.0])),
+    ("/commands", 0.1, joints(0.1, ["shoulder"], [0.5])),
+    ("/imu", 0.2, inertial(0.2, (1, 2, 3), (4, 5, 6))),
+    ("/markers", 0.2, poses(0.2, (1, 2, 3), (4, 5, 6))),
+    # Late in the bag, and of one joint alone; then without a stamp of its own.
+    ("/joint_states", 0.6, joints(0.5, ["elbow"], [0.3], [3.0], [7.0])),
+    ("/commands", 0.7, joints(None, ["shoulder"], [1.1])),
+    ("/tip", 0.8, pose(0.8, (7, 8, 9))),
+]
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_what_is_in_a_bag(tmp_path, plugin):
+    path = write_bag(tmp_path, TOPICS, plugin=plugin)
+    alone = [each for each in path.iterdir() if each.suffix == ".mcap"]
+    for each in (path, *alone):
+        table = read_foreign(each)
+        parts = {
+            "/joint_states/elbow": "joint02",
+            "/joint_states/shoulder velocity": "joint01_rate",
+            "/commands/shoulder": "joint01_command",
+            "/imu": "imu03",
+            "/markers/1": "link02",
+            "/tip": "tip",
+        }
+        times, values = rows_kept(table, channels_of(table, parts), ImportSettings())
+        np.testing.assert_allclose(times, [0, 0.1, 0.2, 0.5, 0.7, 0.8], atol=1e-9)
+        nan = np.nan
+        for name, expected in {
+            "joint02_angle": [0.2, nan, nan, 0.3, nan, nan],
+            "joint02_rate": [2, nan, nan, 3, nan, nan],
+            "joint01_rate": [1, nan, nan, nan, nan, nan],
+            "joint01_command": [0.5, 0.5, 0.6, 0.9, 1.1, 1.1],
+            "imu03_gyro_y": [nan, nan, 2, nan, nan, nan],
+            "imu03_accel_z": [nan, nan, 6, nan, nan, nan],
+            "link02_x": [nan, nan, 4, nan, nan, nan],
+            "tip_z": [nan, nan, nan, nan, nan, 9],
+        }.items():
+            np.testing.assert_allclose(values[name], expected, err_msg=name)
+        assert "joint02_torque" not in values
+        effort = channels_of(table, {"/joint_states/elbow effort": "joint02_torque"})
+        np.testing.assert_allclose(effort["joint02_torque"][3], 7)
+    turned = channels_of(
+        read_foreign(path, ImportSettings(axes=("x", "z", "-y"))), {"/markers/0": "tip"}
+    )
+    np.testing.assert_allclose([turned[f"tip_{axis}"][2] for axis in "xyz"], [1, -3, 2])
+
+
+@pytest.mark.quick
+def test_a_sensor_that_is_not_there_is_no_channel(tmp_path):
+    path = write_bag(tmp_path, [("/imu", 0.0, inertial(0.0, (1, 2, 3), (0, 0, 0), known=-1.0))])
+    assert set(channels_of(read_foreign(path), {"/imu": "imu01"})) == {
+        f"imu01_gyro_{axis}" for axis in "xyz"
+    }
+
+
+# rosbags 0.11.0 leaves the torn file open.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.quick
+def test_a_bad_bag_is_one_sentence(tmp_path, monkeypatch):
+    path = write_bag(tmp_path, TOPICS[:1], plugin=StoragePlugin.MCAP)
+    other = write_bag(tmp_path, [("/talk", 0.0, of("std_msgs/msg/String")("hello"))], "other")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "torn.mcap").write_bytes(next(path.glob("*.mcap")).read_bytes()[:200])
+    (tmp_path / "text.db3").write_text("time_s\n0\n")
+    for name, how, says in [
+        ("other", {}, "but /talk (std_msgs/msg/String): give another bag"),
+        ("empty", {}, "does not exist"),
+        ("torn.mcap", {}, "reading"),
+        ("text.db3", {}, "reading"),
+        ("gone.mcap", {}, "gone.mcap"),
+        ("bag", {"frame_rate": 5.0}, "a bag has its own times: leave out --frame-rate"),
+    ]:
+        with pytest.raises(InputError) as caught:
+            read_foreign(tmp_path / name, ImportSettings(**how))
+        assert says in str(caught.value)
+        assert "\n" not in str(caught.value)
+    assert other.is_dir()
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(InputError, match=r'not installed: pip install "giajax\[ros\]"'):
+        read_foreign(path)
+
+
+def test_two_commands_from_a_bag_to_a_fit(tmp_path, capsys):
+    """A swing is recorded by a driver's topic, and its centre of mass comes back."""
+    times = np.arange(200) / 50
+    arm = {"preset": "pendulum", "links": 1, "parameters": {"links.mass": 0.3}}
+    truth = {**arm, "parameters": {**arm["parameters"], "links.centre_of_mass": 0.6}}
+    about = {"arm": truth, "initial": {"angle_deg": [20.0]}}
+    plan = Run.from_arrays(times, {"joint01_angle": np.zeros_like(times)}, definition=about)
+    model = model_for([plan])
+    seen = predict(model, plan)["joint01_angle"]
+    noise = 1e-3 * np.random.default_rng(0).normal(size=len(times))
+    messages = [
+        ("/joint_states", time, joints(time, ["pivot"], [angle]))
+        for time, angle in zip(times, seen + noise, strict=True)
+    ]
+    bag = write_bag(tmp_path, messages, plugin=StoragePlugin.MCAP)
+    fit = tmp_path / "fit.toml"
+    fit.write_text(
+        '[arm]\npreset = "pendulum"\nlinks = 1\n[arm.parameters]\n"links.mass" = 0.3\n'
+        '[initial]\nfirst_row = true\nfree = true\n[fit]\ndata = ["run.csv"]\n'
+        'free = ["links.centre_of_mass"]\n[fit.start]\n"links.centre_of_mass" = 0.75\n'
+    )
+    words = ["import", str(bag), "--point", "/joint_states/pivot=joint01"]
+    assert main([*words, "--out", str(tmp_path / "run.csv")]) == 0
+    assert "from a bag of ROS 2: 200 rows, 200 values found of 200" in capsys.readouterr().out
+    out = tmp_path / "result"
+    assert main(["fit", str(fit), "--out", str(out), "--no-figures", "--no-suspects"]) == 0
+    found = load_result(out).parameters["links.centre_of_mass[0]"]
+    assert abs(found.value - 0.6) < 4 * found.standard_error < 0.02
