@@ -110,6 +110,26 @@ def test_it_is_found_from_a_recorded_history(case):
     assert result.parameters["offset"].standard_error < 0.01
 
 
+def test_a_drift_is_found_and_its_absence_is_no_part_of_the_model():
+    """A camera that tips by 4 deg in the course of a run, which residuals alone show as a trend."""
+    run = record("plays", drift=np.deg2rad(4))
+    model = model_for([run])
+    assert model.drift is None
+    assert "drift" not in parameter_values(model)
+    found = fit(model, run, free=["elastic", "weights", "offset", "drift"], start={"drift": 0.0})
+    drift = found.parameters["drift"]
+    assert abs(drift.value - np.deg2rad(4)) < 4 * drift.standard_error < np.deg2rad(0.2)
+    assert found.reduced_chi_square < 1.3
+    assert fit(model, run, free=["elastic", "weights", "offset"]).reduced_chi_square > 10
+
+
+def test_a_drift_counts_samples_where_there_are_no_times():
+    run = Run.from_arrays(None, {"command": INPUT, "angle": INPUT}, definition={})
+    drift = replace(truth_of("plays"), {"drift": 0.1})
+    seen = predict(drift, run)["angle"] - predict(truth_of("plays"), run)["angle"]
+    np.testing.assert_allclose(seen, np.linspace(0, 0.1, len(INPUT)), atol=1e-12)
+
+
 def test_a_memory_from_before_the_run_is_found():
     inputs = np.deg2rad(turning([10, 16, 6, 12]))
     run = record("plays", inputs=inputs, previous_extremes=np.deg2rad([40.0]))

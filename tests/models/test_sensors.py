@@ -38,6 +38,7 @@ EACH = {
     "encoder.scale": 0.9,
     "encoder.delay": -0.07,
     "encoder.clock_rate": -0.02,
+    "encoder.rate_offset": 0.2,
 }
 
 
@@ -128,13 +129,23 @@ def test_markers_move_with_their_link():
 
 
 def test_angle_sensors_have_a_zero_and_a_scale(plain):
-    changes = {"encoder.offset": [0.1, 0.2, 0.4], "encoder.scale": 1.5}
+    changes = {"encoder.offset": [0.1, 0.2, 0.4], "encoder.scale": 1.5, "encoder.rate_offset": 0.3}
     seen = giajax.predict(model(**changes), run_of(), EVERYTHING)
     np.testing.assert_allclose(seen["joint01_angle"], 1.5 * plain["joint01_angle"] + 0.1)
-    np.testing.assert_allclose(seen["joint02_rate"], 1.5 * plain["joint02_rate"])
+    np.testing.assert_allclose(seen["joint02_rate"], 1.5 * plain["joint02_rate"] + 0.3)
     # Absolute angles are sums of what the joints' sensors show.
     np.testing.assert_allclose(seen["link03_angle"], 1.5 * plain["link03_angle"] + 0.7, atol=1e-12)
     np.testing.assert_array_equal(seen["link03_z"], plain["link03_z"])
+
+
+def test_a_state_in_the_first_row_is_free_of_what_a_gyroscope_shows_at_rest():
+    """The rate there is the recorded one less the offset, over the scale."""
+    values = {"joint01_angle": [0.4, 0.4], "joint01_rate": [0.5, 0.5]}
+    about = {"arm": {"preset": "pendulum", "links": 1}, "initial": {"first_row": True}}
+    run = Run.from_arrays([0.0, 0.1], values, definition=about)
+    sensors = {"encoder.rate_offset": 0.2, "encoder.scale": 1.5, "encoder.offset": 0.1}
+    begun = giajax.replace(model_for([run]), sensors).prepare(run).initial
+    np.testing.assert_allclose([begun.angle[0], begun.rate[0]], [0.2, 0.2])
 
 
 @pytest.mark.slow

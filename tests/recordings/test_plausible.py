@@ -3,6 +3,7 @@
 import functools
 import itertools
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -502,6 +503,23 @@ def test_check_says_rows_cause_and_remedy_and_ends_with_3_if_strict(swing, capsy
     assert "empty these cells" in said
     assert main(["check", path, "--strict"]) == 3
     assert main(["check", str(swing(SWING)), "--strict"]) == 0
+
+
+@quick
+def test_a_loop_that_runs_down_is_turned_by_the_printed_command(tmp_path, capsys, monkeypatch):
+    inputs = np.sin(np.linspace(0, 12, 200))
+    lag = 0.6 * inputs + 0.4 * np.sin(np.linspace(-0.8, 11.2, 200))
+    rows = enumerate(zip(inputs, lag, strict=True))
+    lines = ["time_s,input,output", *(f"{k},{x},{-y}" for k, (x, y) in rows)]
+    path = tmp_path / "a loop.csv"
+    path.write_text("\n".join(lines) + "\n")
+    monkeypatch.chdir(tmp_path)
+    assert main(["check", str(path), "--strict"]) == 3
+    said = capsys.readouterr().out
+    assert "column 'output' falls where its input rises" in said
+    (command,) = re.findall(r"giajax (import '.*' --flip output --out turned.csv)", said)
+    assert main(shlex.split(command)) == 0
+    assert main(["check", "turned.csv", "--strict"]) == 0
 
 
 @quick

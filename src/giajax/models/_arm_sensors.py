@@ -121,28 +121,35 @@ class Marker(eqx.Module):
 
 
 class Encoder(eqx.Module):
-    """Zero, scale and clock of the joints' angle sensors; angles of links are their sums."""
+    """Zero, scale and clock of the joints' sensors; angles of links are the sums of theirs."""
 
     offset: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.offset)
     scale: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.scale)
     delay: Scalar | None = parameter(ENCODER.delay)
     clock_rate: Scalar | None = parameter(ENCODER.clock_rate)
+    rate_offset: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.rate_offset)
 
     def shows(self, angles: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
         """Recorded joint angles, rad; the clock apart."""
-        shown = self.shows_rates(angles)
+        shown = self._scaled(angles)
         return shown if self.offset is None else shown + per_row(self.offset, shown)
 
     def shows_rates(self, rates: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
         """Recorded joint rates, rad/s; the clock apart."""
-        return rates if self.scale is None else rates * per_row(self.scale, rates)
+        shown = self._scaled(rates)
+        return shown if self.rate_offset is None else shown + per_row(self.rate_offset, shown)
+
+    def _scaled(self, values: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
+        return values if self.scale is None else values * per_row(self.scale, values)
 
     def true_angles(self, shown: Float[Array, " joint"]) -> Float[Array, " joint"]:
         """Joint angles (rad) that are shown so: the inverse of `shows`; the clock apart."""
-        return self.true_rates(shown if self.offset is None else shown - self.offset)
+        shown = shown if self.offset is None else shown - self.offset
+        return shown if self.scale is None else shown / self.scale
 
     def true_rates(self, shown: Float[Array, " joint"]) -> Float[Array, " joint"]:
         """Joint rates (rad/s) that are shown so: the inverse of `shows_rates`."""
+        shown = shown if self.rate_offset is None else shown - self.rate_offset
         return shown if self.scale is None else shown / self.scale
 
 

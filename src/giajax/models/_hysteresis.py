@@ -347,9 +347,12 @@ def unexplained(response: np.ndarray, run: Run) -> float:
 
 
 class HysteresisInputs(eqx.Module):
-    """What the model needs of a run: the input at the samples, SI."""
+    """What the model needs of a run: the input at the samples, SI, and the share of the run that
+    is over.
+    """
 
     values: Float[Array, " sample"]
+    over: Float[Array, " sample"]
 
 
 class HysteresisModel(AbstractModel):
@@ -361,6 +364,8 @@ class HysteresisModel(AbstractModel):
         settings: the `[hysteresis]` section, which holds no parameters.
         operator: its parameters keep their own paths.
         offset: added to the output, such as the inclination of a camera.
+        drift: added to the output at the last sample, and in proportion to time (without times, to
+            the number of samples) before.
         previous_extremes: turning points of the input before the run, the latest last. What a
             rate-independent operator remembers of its past is a list of such extremes.
         columns: of input and output in the runs, where known.
@@ -371,6 +376,7 @@ class HysteresisModel(AbstractModel):
     settings: HysteresisSettings = eqx.field(static=True)
     operator: AbstractOperator = inline()
     offset: Scalar = parameter(LOOP.offset)
+    drift: Scalar | None = parameter(LOOP.drift)
     previous_extremes: Float[Array, " extreme"] = parameter(LOOP.previous_extremes)
     columns: Columns = eqx.field(default_factory=Columns, static=True)
 
@@ -453,13 +459,19 @@ class HysteresisModel(AbstractModel):
         """The input of a hysteresis run."""
         values = input_values(run, self.kind)
         self.columns.check(run)
-        return HysteresisInputs(jnp.asarray(values, jnp.result_type(float)))
+        since = np.arange(len(values)) if run.times is None else run.times - run.times[0]
+        over = since / max(since[-1], 1e-300)
+        return HysteresisInputs(
+            *(jnp.asarray(each, jnp.result_type(float)) for each in (values, over))
+        )
 
     def predict(self, inputs: HysteresisInputs, channels: tuple[str, ...]) -> Prediction:
         """The output, SI, under the name of each channel, of shape (sample,)."""
         check_outputs(self.kind, channels)
         response = self._response(inputs)
         output = self.offset + response
+        if self.drift is not None:
+            output += self.drift * inputs.over
         fine = jnp.all(jnp.isfinite(output))
         if isinstance(self.operator, BoucWen):
             fine &= ~self.operator.too_coarse(inputs.values, response)

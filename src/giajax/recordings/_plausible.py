@@ -623,6 +623,6 @@ def _reach(look: Look) -> Iterator[Oddity]:
 
 _CHECKS: tuple[Callable[[Look], Iterator[Oddity]], ...] = (
     columns.stamps, columns.leaps, columns.takes, _reach, columns.magnitudes, _at_commands,
-    columns.constants, columns.force, _at_equilibrium, _before_commands,
+    columns.constants, columns.force, columns.falls, _at_equilibrium, _before_commands,
     columns.sentinels, columns.zeros, columns.wraps, columns.glitches, columns.noise_too_small,
 )  # fmt: skip

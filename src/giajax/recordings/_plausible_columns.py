@@ -5,6 +5,7 @@ changed. Thresholds are far from what right recordings have, and stand where the
 """
 
 import dataclasses
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -400,6 +401,27 @@ def _swings_faster(look: Look, period: float) -> bool:
         cells.step < 0.5 * _typical(cells.values - np.median(cells.values))
         for cells in look.measured.values()
     )
+
+
+def falls(look: Look) -> Iterator[Oddity]:
+    """A loop that runs down where its input goes up, as no hysteresis of these models does."""
+    if look.run.model != "hysteresis" or len(look.run.commands) != 1:
+        return
+    (driven,) = look.run.commands.values()
+    for name, cells in look.measured.items():
+        inputs = driven[cells.rows]
+        if not (np.ptp(inputs) > 0 and cells.span > 0):
+            continue
+        if np.corrcoef(inputs, cells.values)[0, 1] < -0.3:
+            file = shlex.quote(look.naming.source)
+            yield Oddity(
+                "signs",
+                f"{look.of(cells.channel)} falls where its input rises",
+                f"giajax import {file} --flip {name} --out turned.csv"
+                if look.naming.columns
+                else f"change the sign of {name}",
+                (name,),
+            )
 
 
 def _turns_back(look: Look) -> bool:

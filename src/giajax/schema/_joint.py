@@ -22,6 +22,7 @@ from ._declaration import (
     freed_guess,
     guess,
     key,
+    left_out,
     positive,
     with_keys,
 )
@@ -276,6 +277,9 @@ class _BoucWenOscillator(Group):
 
 class _Loop(Group):
     offset = Declaration(0.0, "output", "added to the output", frozen=False)
+    drift = left_out(
+        "output", "added to the output at the last sample, and in proportion to time before"
+    )
     previous_extremes = Declaration(
         0.0, "input", "turning points of the input before the run, the latest last"
     )

@@ -396,6 +396,9 @@ class _Encoder(Group):
     ).keyed("encoder_scale")
     delay = delay("encoder_delay_s", "how long before its time stamp a joint's angle was true")
     clock_rate = clock_rate("encoder_clock_rate")
+    rate_offset = left_out(
+        "rad/s", "what a joint's rate sensor, such as a gyroscope, shows at rest", **EACH_JOINT
+    ).keyed("encoder_rate_offset_deg_per_s")
 
 
 CAMERA = _Camera("camera")
