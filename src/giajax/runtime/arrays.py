@@ -86,10 +86,9 @@ def inverse_of_positive(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 
 @jax.jit
-def solution_of_positive(matrix: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
-    """A^-1 b of a positive matrix A, from its lower triangle."""
-    factor, row = cholesky_factor(matrix), b[None]
-    half = jax.lax.linalg.triangular_solve(factor, row, lower=True, transpose_a=True)
+def solution_by_factor(factor: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
+    """A^-1 b of a positive matrix A = L L^T, from L."""
+    half = jax.lax.linalg.triangular_solve(factor, b[None], lower=True, transpose_a=True)
     return jax.lax.linalg.triangular_solve(factor, half, lower=True)[0]
 
 

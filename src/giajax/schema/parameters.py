@@ -221,6 +221,20 @@ def parameter_rows(model: eqx.Module) -> dict[str, str]:
 
 def _by_path(model: eqx.Module) -> dict[str, Parameter]:
     """All parameters, those that are left out too; of those that parts share, one."""
+    # They depend on what a model consists of and not on its values; a fit asks for them often.
+    structure = jax.tree.structure(model)
+    if structure not in _BY_STRUCTURE:
+        while len(_BY_STRUCTURE) >= _MOST_STRUCTURES:
+            _BY_STRUCTURE.pop(next(iter(_BY_STRUCTURE)), None)
+        _BY_STRUCTURE[structure] = _found(model)
+    return _BY_STRUCTURE[structure]
+
+
+_BY_STRUCTURE: dict[Any, dict[str, Parameter]] = {}
+_MOST_STRUCTURES = 64
+
+
+def _found(model: eqx.Module) -> dict[str, Parameter]:
     parameters: dict[str, Parameter] = {}
     for found in _walk(model, "", lambda root: root):
         known = parameters.get(found.path)

@@ -16,7 +16,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..runtime.arrays import Array, Bool, Float, Scalar, inverse_of_positive, solution_of_positive
+from ..runtime.arrays import (
+    Array,
+    Bool,
+    Float,
+    Scalar,
+    cholesky_factor,
+    inverse_of_positive,
+    solution_by_factor,
+)
 from ..runtime.solvers import from_text
 from ..runtime.text import InputError
 from ._motion import Springs, pull, resistance, springs
@@ -64,6 +72,19 @@ def _rows(tableau: diffrax.ButcherTableau) -> np.ndarray:
     if tableau.a_diagonal is not None:
         matrix[range(size), range(size)] = tableau.a_diagonal
     return matrix
+
+
+_POINTS = 3  # more of them guess worse: stages are out of order in time
+
+
+def _extrapolation(times: np.ndarray) -> np.ndarray:
+    """Of which earlier stages the first guess of each one is made, by a polynomial in time."""
+    weights = np.zeros((len(times), len(times)))
+    for stage in range(1, len(times)):
+        near = np.argsort(np.abs(times[:stage] - times[stage]), kind="stable")[:_POINTS]
+        powers = np.vander(times[near], increasing=True).T
+        weights[stage, near] = np.linalg.solve(powers, times[stage] ** np.arange(len(near)))
+    return weights
 
 
 State = Float[Array, "row joint"]
@@ -124,11 +145,11 @@ _CAUTION, _CAUTION_AT_CORNERS = 100.0, 10.0
 
 # Of what joints resist by their way, as the angle by which they bear it: joints that swing fast and
 # hardly move turn round more often than a long step sees, and each turn leaves something behind.
-_CAUTION_AT_TURNS = 1000.0
+_CAUTION_AT_TURNS = 300.0
 
-# A stage is solved where the last step of Newton's method moved no joint by more, rad, or by more
-# than rounding. Where that is not so after as many, and it moved one far, the step is too long.
-_NEAR, _FAR, _MOST = 1e-8, 1e-6, 10
+# A stage is solved where a next iteration would move no joint by more, rad, or by more than
+# rounding. Where that is not so after as many, and it would move one far, the step is too long.
+_NEAR, _FAR, _MOST = 1e-9, 1e-6, 10
 _ROUNDING = 16
 
 # The error of a rate counts as the angle that it makes within a stage, or at least within a frame
@@ -205,14 +226,17 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
     ) -> tuple[State, State, dict[str, State], Carried, Any]:
         """One step."""
         step = t1 - t0
+        # A step of no length occurs between corners that differ by rounding.
+        length = jnp.where(step == 0, 1, step)
         *arrays, gamma = tableau()
         combine, times, error = (jnp.asarray(array, y0.dtype) for array in arrays)
         end = len(times) - 1
+        guess = jnp.asarray(_extrapolation(tableau().times), y0.dtype)
         # The order holds for every J, so that of the equation for a derivative holds with J
         # taken for a constant, too: that equation has J again, and terms that are not stiff.
         scale, springs = jax.lax.stop_gradient((gamma * step, self.springs(t0, y0, args)))
         pull_before, resisted = self.pull(t0, y0, args), self.resistance(t0, y0, args)
-        solve = self._solver(scale, springs, linear=resisted is None)
+        solve, factorised = self._solver(scale, springs, linear=resisted is None)
         known, slope = solver_state
         # The slope at the start, which is that at the end of the step before as a rule, is that of
         # stage 0: in the loop of all stages the equation of motion is compiled once. A loop whose
@@ -229,38 +253,54 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             moved = known.at[0].add(scale * rates).at[1].set(rates)
             return self.resistance(time, y0 + moved, args) - before
 
-        def better(rates: Array, given: Any, at: Array | None = None) -> State:
-            """One step of Newton's method for a stage, from rates that are near."""
+        def slope_at(rates: Array, given: Any) -> tuple[Array, Array]:
+            """What resists at rates, without what is linear of it, and that: as a damper is."""
             torque, softening = jax.jvp(
                 lambda x: resist(x, given), (rates,), (jnp.ones_like(rates),)
             )
-            # What is linear of it is as a damper is. One that drives is left out, of which the
-            # matrix need not be positive: the derivatives of such a stage are near.
+            # One that drives is left out, of which the matrix need not be positive: the derivatives
+            # of such a stage are near.
             damper = jax.lax.stop_gradient(jnp.maximum(-softening, 0))
-            return solve(given[0], given[1] + torque + damper * rates, damper, at)
+            return torque + damper * rates, damper
 
         near = max(_NEAR, _ROUNDING * float(jnp.finfo(y0.dtype).eps))
 
         def found(rates: Array, given: Any) -> tuple[State, Scalar]:
-            """A stage with what resists by the way of the joints, and its last move, rad."""
+            """A stage with what resists by the way of the joints, and how far off it is, rad."""
             stopped = jax.lax.stop_gradient(given)
 
-            def one(carried: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-                count, _, rates = carried
-                moved = better(rates, stopped)[1]
-                return count + 1, jnp.max(jnp.abs(scale * (moved - rates))), moved
+            def better(carried: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+                """A step of Newton's method and one more with its matrix: of the third order."""
+                count, _, before = carried
+                torque, damper = slope_at(before, stopped)
+                factor = factorised(damper)
+                first = solve(stopped[0], stopped[1] + torque, damper, factor)[1]
+                torque = resist(first, stopped) + damper * first
+                second = solve(stopped[0], stopped[1] + torque, damper, factor)[1]
+                moved, more = (
+                    jnp.max(jnp.abs(scale * (to - by)))
+                    for to, by in ((first, before), (second, first))
+                )
+                # Beyond a turn the matrix is another one. What a next step would move is less by as
+                # much again, at least.
+                closer = more < moved / 4
+                left = jnp.where(closer, more * more / jnp.where(closer, moved, 1), moved)
+                return count + 1, left, jnp.where(closer, second, first)
 
-            start = jnp.asarray(0), jnp.asarray(jnp.inf, y0.dtype), jax.lax.stop_gradient(rates)
-            _, moved, rates = jax.lax.while_loop(
-                lambda carried: (carried[0] < _MOST) & (carried[1] > near), one, start
+            far = jnp.asarray(jnp.inf, y0.dtype)
+            _, left, rates = jax.lax.while_loop(
+                lambda carried: (carried[0] < _MOST) & (carried[1] > near),
+                better,
+                (jnp.asarray(0), far, jax.lax.stop_gradient(rates)),
             )
-            # The derivative of one more step is that of the solution, and has to be taken where the
-            # equation of motion has its own: beyond a turn it is another one.
+            # Its derivatives are those of one more step, and have to be taken where the equation of
+            # motion has its own: beyond a turn they are others.
             rates = jax.lax.stop_gradient(rates)
-            return better(rates, given, rates), moved
+            torque, damper = slope_at(rates, given)
+            return solve(given[0], given[1] + torque, damper, factorised(damper), rates), left
 
         def advance(stage: Any, carried: Stages) -> Stages:
-            parts, last, _, off = carried
+            parts, _, _, off = carried
             known_part = jnp.sum(combine[stage][..., None, None] * parts, axis=(0, 1))
             # Not beyond the end by rounding, where the next piece of the command may start.
             time = jnp.minimum(t0 + times[stage] * step, t1)
@@ -270,7 +310,8 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 change = jnp.where(stage == end, known_part, solve(known_part, pull))
             else:
                 given = known_part, pull, time, y0, args, resisted
-                begin = last[1] - y0[1]
+                begin = guess[stage] @ parts[:, 0, 0] / length - y0[1]
+                begin = jnp.where(stage == 0, 0, begin)
                 change, moved = jax.lax.cond(
                     stage == end,
                     lambda: (known_part, jnp.zeros_like(off)),
@@ -287,8 +328,7 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         parts = jnp.concatenate([first, jnp.zeros((end, *first.shape[1:]), y0.dtype)])
         stages: Stages = (parts, y0, slope, jnp.zeros((), y0.dtype))
         parts, y1, f1, off = jax.lax.fori_loop(begin, end + 1, advance, stages)
-        # A step of no length occurs between corners that differ by rounding.
-        f0 = parts[0, 0] / jnp.where(step == 0, 1, step)
+        f0 = parts[0, 0] / length
         dense = {"y0": y0, "y1": y1, "f0": f0, "f1": f1}
         y_error = jnp.tensordot(error, parts[:, 0], 1)
         weight: Any = _CAUTION_AT_CORNERS
@@ -306,11 +346,13 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         return y1, y_error, dense, (jnp.asarray(True), f1), diffrax.RESULTS.successful
 
     @staticmethod
-    def _solver(scale: Scalar, springs: Springs, linear: bool) -> Callable[..., State]:
+    def _solver(
+        scale: Scalar, springs: Springs, linear: bool
+    ) -> tuple[Callable[..., State], Callable[[Array], Array]]:
         """What solves (1 - scale J) x = b + scale g, of b and the torque in g.
 
-        Where that is not `linear`, J has further dampers (N m s/rad) each time. With rates `at`
-        which x is known it has the derivatives of x alone.
+        Where that is not `linear`, J has further dampers (N m s/rad) each time, and the second of
+        both gives the factor of its matrix. Of rates that are known, x has its derivatives alone.
         """
         mass, stiffness, damping, strain, contact, _ = springs
         spring = scale * stiffness
@@ -337,7 +379,8 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             right_side: State,
             pull: Array,
             further: Array | None = None,
-            at: Array | None = None,
+            factor: Array | None = None,
+            known: Array | None = None,
         ) -> State:
             angles, rates, states = right_side[0], right_side[1], right_side[2:]
             held = spring * angles + damper * rates - scale * pull
@@ -348,13 +391,14 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 held = held + stretching @ stretch.ravel()
             if strain is not None:
                 held = held + jnp.sum(torque * states[:count], axis=0)
-            if further is None:
+            if further is None or factor is None:
                 rates = rates - inverse @ held
             else:
                 held = held + scale * further * rates
-                rates = rates - solution_of_positive(matrix + jnp.diag(scale * further), held)
-            if at is not None:
-                rates = at + (rates - jax.lax.stop_gradient(rates))
+                if known is None:
+                    rates = rates - solution_by_factor(factor, held)
+                else:
+                    rates = _known(known, factor, held, rates)
             rows = [(angles + scale * rates)[None], rates[None]]
             if strain is not None:
                 rows.append(kept * (states[:count] + scale * strain.filling * rates[None]))
@@ -362,7 +406,21 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 rows.append(stretch + (scale * sticking @ rates).reshape(stretch.shape))
             return jnp.concatenate(rows)
 
-        return solve
+        return solve, lambda further: cholesky_factor(matrix + jnp.diag(scale * further))
+
+
+@jax.custom_jvp
+def _known(rates: Array, factor: Array, held: Array, begin: Array) -> Array:
+    """What begin - A^-1 held is known to be, with its derivatives by both; A = L L^T."""
+    del factor, held, begin
+    return rates
+
+
+@_known.defjvp
+def _known_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    rates, factor, *_ = primals
+    _, _, held, begin = tangents
+    return rates, begin - solution_by_factor(factor, held)
 
 
 _springs5 = partial(LinearlyImplicit, springs, pull)

@@ -228,7 +228,8 @@ def turns(
     for above, below in ((far, a), (v0, far)):
         part = above / jnp.where(below == 0, 1, below)
         parts.append(jnp.where(two & (below != 0) & (part > 0) & (part < 1), part, 1))
-    return jnp.sort(jnp.stack(parts), axis=0)
+    first, second = parts
+    return jnp.stack([jnp.minimum(first, second), jnp.maximum(first, second)])
 
 
 def angle_after(

@@ -181,7 +181,8 @@ def test_z_after_a_way_is_that_of_its_equation(nu, delta):
         solve_ivp(equation, (0, abs(w)), [z], args=(np.sign(w),), rtol=1e-10, atol=1e-12).y[0, -1]
         for z, w in zip(starts, ways, strict=True)
     ]
-    given = [jnp.asarray(each) for each in (ways, starts, nu, delta)]
+    legs = np.stack([0.3 * ways, 0.7 * ways])
+    given = [jnp.asarray(each) for each in (legs, starts, nu, delta)]
     dahl = nu == 1 and delta == 0
     assert_allclose(bouc_wen_after(*given), expected, rtol=0, atol=1e-9 if dahl else 5e-5)
 
@@ -201,6 +202,8 @@ def test_nothing_moves_without_a_way():
     """Where a motion begins both sides have their own slope, and neither is NaN."""
     still, z = jnp.zeros(1), jnp.asarray([0.4])
     nu, delta = jnp.asarray(1.0), jnp.asarray(0.0)
-    value, slope = jax.jvp(lambda way: bouc_wen_after(way, z, nu, delta), (still,), (still + 1,))
+    value, slope = jax.jvp(
+        lambda way: bouc_wen_after(way[None], z, nu, delta), (still,), (still + 1,)
+    )
     assert_allclose(value, z)
     assert_allclose(slope, 1 - z)

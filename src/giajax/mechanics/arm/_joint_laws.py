@@ -128,6 +128,13 @@ class AbstractJointLaw(eqx.Module):
         return self.return_mapped(end, states)
 
     @optional
+    def along(self, way: Float[Array, "corner joint"], states: States) -> States:
+        """The states after a motion by these corners (rad), between which `travelled` holds."""
+        for begin, end in itertools.pairwise(way):
+            states = self.travelled(begin, end, states)
+        return states
+
+    @optional
     def slopes(self, at: JointState) -> tuple[PerJoint, PerJoint]:
         """Stiffness (N m/rad) and damping (N m s/rad), at constant states: how the torque falls."""
         stiffness = slope(lambda x: self.torque(at._replace(angles=x)), at.angles)
@@ -285,9 +292,7 @@ class JointLaws(AbstractJointLaw):
         for law, own in self.each(JointState(way[-1], way[-1], way[-1], states)):
             after = law.return_mapped(way[-1], own.states)
             if law.slides:
-                after = held[row : row + law.rows]
-                for begin, end in itertools.pairwise(way):
-                    after = law.travelled(begin, end, after)
+                after = law.along(way, held[row : row + law.rows])
             mapped.append(after)
             row += law.rows
         return jnp.concatenate(mapped)
@@ -503,8 +508,12 @@ class Memory(AbstractJointLaw):
 
     def travelled(self, begin: PerJoint, end: PerJoint, states: States) -> States:
         """The states after a motion between these angles (rad) in one direction."""
-        way = (end - begin) / self.yield_angle
-        return bouc_wen_after(way, states[0], self.nu, self.delta)[None]
+        return self.along(jnp.stack([begin, end]), states)
+
+    def along(self, way: Float[Array, "corner joint"], states: States) -> States:
+        """The states after a motion by these corners (rad)."""
+        legs = jnp.diff(way, axis=0) / self.yield_angle
+        return bouc_wen_after(legs, states[0], self.nu, self.delta)[None]
 
     def stiffest(self, at: JointState) -> PerJoint:
         """That of an element which slid, at the turn, N m/rad."""

@@ -42,30 +42,40 @@ def bouc_wen_rate(
 
 
 def bouc_wen_after(
-    way: Float[Array, "*shape"], z: Float[Array, "*shape"], nu: Scalar, delta: Scalar
+    ways: Float[Array, "leg *shape"], z: Float[Array, "*shape"], nu: Scalar, delta: Scalar
 ) -> Float[Array, "*shape"]:
-    """z after a motion in one direction: `bouc_wen_rate` over |v|, which depends on no rate.
+    """z after motions in one direction: `bouc_wen_rate` over |v|, which depends on no rate.
 
     With nu = 1 and delta = 0 (Dahl) it falls off exponentially; otherwise it is integrated, right
     to 5e-5 but where a large nu makes the knee sharp, and takes thirty times as long.
 
     Arguments:
-        way: over the yield angle, with the sign of its direction.
-        z: before it.
+        ways: one after the other, over the yield angle, with the sign of their direction.
+        z: before them.
         nu, delta: as of `BoucWen`, where alpha and beta are 1 and gamma is 1 - delta.
     """
-    sign = jnp.where(way < 0, -1.0, 1.0)
+
+    def exponential() -> Array:
+        after = z
+        for way in ways:
+            sign = jnp.where(way < 0, -1.0, 1.0)
+            after = sign - (sign - after) * jnp.exp(-sign * way)
+        return after
 
     def integrated() -> Array:
         most, one = _FULL + _DECAY / nu, jnp.ones_like(nu)
-        width = jnp.clip(way, -most, most) / _STEPS
-        return _by_steps(
-            lambda z: bouc_wen_rate(width, z, one, one, 1 - delta, delta, nu), z, _STEPS
-        )
 
-    return jax.lax.cond(
-        _is_dahl(nu, delta), lambda: sign - (sign - z) * jnp.exp(-sign * way), integrated
-    )
+        def leg(z: Array, way: Array) -> tuple[Array, None]:
+            width = jnp.clip(way, -most, most) / _STEPS
+            after = _by_steps(
+                lambda z: bouc_wen_rate(width, z, one, one, 1 - delta, delta, nu), z, _STEPS
+            )
+            return after, None
+
+        return jax.lax.scan(leg, z, ways)[0]
+
+    # All of them in one: a branch costs more than the exponentials.
+    return jax.lax.cond(_is_dahl(nu, delta), exponential, integrated)
 
 
 @eqx.filter_custom_jvp
