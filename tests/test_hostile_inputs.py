@@ -1,0 +1,491 @@
+"""Every input of every command, damaged by a seed: read as it says, or refused in one sentence.
+
+A case is a valid command on small files of which one is damaged, or a word of it is. It may end
+with the status that is documented, never with a traceback, within seconds and a gigabyte. What it
+reads nevertheless is compared with what the standard library reads. `make test` draws 300 cases,
+the tests marked `long` 3,000 others.
+"""
+
+import contextlib
+import copy
+import csv
+import io
+import json
+import math
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import time
+import tomllib
+import warnings
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from giajax.apps.driving import read_pad
+from giajax.cli import main
+from giajax.fitting import load_result
+from giajax.recordings import Definition, read_table
+from giajax.runtime.text import InputError
+from giajax.tasks import Plan
+
+ROOT = Path(__file__).resolve().parents[1]
+EARLIER = ROOT / "tests" / "earlier"
+MOST_SECONDS, MOST_BYTES = 5.0, 1 << 30
+STATM, STATUS, REFERENCES = (
+    Path("/proc/self") / name for name in ("statm", "status", "clear_refs")
+)
+
+pytestmark = pytest.mark.skipif(
+    not (REFERENCES.exists() and os.access(REFERENCES, os.W_OK)),
+    reason="needs to see how much memory a case takes",
+)
+
+FILM = (
+    "scorer,net,net,net,net,net,net\n"
+    "bodyparts,elbow,elbow,elbow,end,end,end\n"
+    "coords,x,y,likelihood,x,y,likelihood\n"
+    "0,403.8,520.2,0.88,393.5,528.2,0.84\n1,404.5,521.0,0.31,394,529,0.99\n2,405,522,0.99,,,\n"
+)
+TRACKS = '"Time","m/0/X","m/0/Y"\r\n"0","100.5","20.25"\r\n"0.04","101","21"\r\n'
+PAD = (
+    "[pad]\ndead_zone = 0.1\naxes = [{axis = 1, joints = [1, 2], rate_deg_per_s = -3.0}]\n"
+    'buttons = [{button = 0, preset = "up"}]\n'
+    'presets = [{name = "up", joints = [1], angles_deg = [20.0], others_deg = 0.0}]\n'
+)
+ARM = "[arm]\npreset = 'takeichi_20m'\nlinks = 2\n[initial]\nangle_deg = 5.0\n"
+ROBOT = (
+    "<mujoco><worldbody><body name='a'><joint type='hinge' axis='0 1 0'/>"
+    "<geom type='capsule' fromto='0 0 0 1 0 0' size='0.1' mass='0.1'/></body></worldbody></mujoco>"
+)
+FAST = "--no-figures --force --quiet --max-iterations 1 --no-suspects"
+
+# Commands, and the files of each that are damaged.
+COMMANDS = {
+    "check run.csv --json": ["run.csv", "run.toml"],
+    "check run.csv --strict --rename force_N=force_mN": ["run.csv", "run.toml"],
+    "init bare.csv": ["bare.csv"],
+    "import film.csv --rate 50 --point elbow=link03 --point end=tip --commands log.csv --out o.csv"
+    " --force": ["film.csv", "log.csv"],
+    "import tracks.csv --kinovea-origin 0,10 --point m=tip --out o.csv --force": ["tracks.csv"],
+    "parameters run.csv": ["run.csv", "run.toml"],
+    "parameters --arm arm.toml": ["arm.toml"],
+    f"fit run_fit.toml --out f {FAST}": ["run_fit.toml", "run.csv", "run.toml"],
+    f"fit --again kept/fit --out f {FAST}": ["kept/fit/result.json", "kept/run.csv"],
+    f"fit --data run.csv --from fit --out f {FAST}": ["fit/result.json"],
+    "fit --resume study/half --no-figures --quiet": ["study/half/journal.jsonl"],
+    "sweep plan.toml --dry-run": ["plan.toml", "run_fit.toml"],
+    "synth run.csv --out n.csv --force": ["run.csv", "run.toml"],
+    "predict --model fit --data run.csv": ["fit/result.json", "run.csv", "run.toml"],
+    "predict --model fit --against fit --data run.csv --config run_fit.toml": ["run_fit.toml"],
+    "compare fit other": ["other/result.json"],
+    "report fit --force": [
+        *("fit/result.json", "fit/influence.json", "fit/profiles.json", "fit/bootstrap.json"),
+    ],
+    "suspects fit --force": ["fit/result.json", "run.csv"],
+    "influence fit --force": ["fit/result.json"],
+    "profile fit --quiet": ["fit/result.json", "fit/profiles.json"],
+    "bootstrap fit --size 2 --folder tasks --force --quiet": ["fit/result.json"],
+    "choose --data loops.csv --only play --quiet": ["loops.csv", "loops.toml"],
+    "compensate --model loops --target target.csv --out c.csv --force": [
+        "loops/result.json",
+        "target.csv",
+    ],
+    "drive arm.toml --replay pad.csv --pad pad.toml --out d.csv --force": [
+        "pad.csv",
+        "pad.toml",
+        "arm.toml",
+    ],
+    "view arm.toml --out v.html --force": ["arm.toml"],
+    "mjcf robot.xml --out r.toml --force": ["robot.xml"],
+    "simulate --arm arm.toml --duration 0.2 --out s.csv --force": ["arm.toml"],
+    "fill filling.toml --no-curve --json": ["filling.toml"],
+    "mission mission.toml --json": ["mission.toml"],
+    "wind --data resting.csv --wind 0,0.5,0.2": ["resting.csv", "resting.toml"],
+    "joint --out j --force --definition joint.toml": ["joint.toml"],
+    "sensitivity run.csv --parameter muscle.effectiveness --out s --force": ["run.csv"],
+    "design arm.toml --for air.drag_coefficient --out d --force --duration 1": ["arm.toml"],
+    "explain --config run_fit.toml --out e --force --max-steps 1 --no-figures --quiet": [
+        "run_fit.toml"
+    ],
+    "explain --resume explained --max-steps 1 --no-figures --quiet": [
+        "explained/explain.jsonl",
+        "explained/fits/first.json",
+    ],
+}
+# Drawn four times as often: they do little but read, so that what they have read is compared.
+OFTEN = ("check", "import", "compare", "parameters", "drive")
+# What takes long is not computed: the command ends there with a sentence.
+LONG = (
+    ("giajax.apps.mission", "Mission.fly"),
+    ("giajax.apps.joint", "joint_files"),
+    ("giajax.apps.design", "design_experiment"),
+    ("giajax.apps.filling", "fill"),
+    ("giajax.apps.wind", "fit_wind"),
+)
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """Small files of every kind, all of which are right."""
+    home = tmp_path_factory.mktemp("hostile")
+    results = EARLIER / "results"
+    shutil.copytree(results / "muscle", home, dirs_exist_ok=True)
+    shutil.copytree(results / "muscle", home / "kept")
+    shutil.copytree(home / "fit", home / "other")
+    shutil.copy(home / "run.csv", home / "bare.csv")
+    shutil.copytree(EARLIER / "studies" / "journal", home / "study")
+    shutil.copytree(results / "loops" / "fit", home / "loops")
+    for folder, name in ((results / "loops", "loops"), (EARLIER / "written" / "wind", "resting")):
+        for suffix in (".csv", ".toml"):
+            shutil.copy(folder / f"run{suffix}", home / f"{name}{suffix}")
+    shutil.copy(EARLIER / "written" / "fill" / "filling.toml", home)
+    shutil.copy(ROOT / "missions" / "naraha.toml", home / "mission.toml")
+    texts = {
+        "film.csv": FILM, "tracks.csv": TRACKS, "pad.toml": PAD, "arm.toml": ARM,
+        "robot.xml": ROBOT, "joint.toml": "[joint]\ntorque_N_m = 0.3\n",
+        "log.csv": "time_s,joint01_command_deg\n0,0\n0.05,10\n",
+        "pad.csv": "time_s,axis0,axis1,button0\n0,1,0.5,0\n0.1,0,0,1\n0.2,0.5,0,0\n",
+        "target.csv": "time_s,output\n0,0\n1,0.1\n2,0\n",
+        "plan.toml": 'fit = "run_fit.toml"\n[grid]\nloss = ["linear", "huber"]\n',
+    }  # fmt: skip
+    for sidecar in home.glob("*.toml"):  # else every damaged cell is known by the checksum
+        sidecar.write_text(re.sub("sha256 = .*", "", sidecar.read_text()))
+    for name, text in texts.items():
+        (home / name).write_text(text, newline="")
+    with contextlib.chdir(home):
+        words = "--no-figures --quiet"
+        for command in (
+            *(f"{study} {words} fit" for study in ("influence", "profile", "bootstrap --size=2")),
+            f"explain --config run_fit.toml --out explained --max-steps 1 {words}",
+        ):  # fmt: skip
+            status, _, err = ended(command.split())
+            assert status in (0, 1), (command, err)
+    return home
+
+
+def ended(words):
+    """The status of a command, and what it says."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main(words)
+    return status, out.getvalue(), err.getvalue()
+
+
+# What is wrong.
+
+PIECES = [
+    b"", b"\0", b"\xff", b"nan", b"1e300", b"1e999", b"-", b'"', b"{", b"[[", b"]\n[", b"= 9\n",
+    b"1_0", "\u0661\u0662".encode(), b"inf", b"9" * 5_000, b"[" * 5_000, b",1" * 20_000, b"\r",
+    b"q" * 200_000, b"\n" * 20_000, b"links = 1e9\n", b"'", b'"""', b";", b"\xef\xbb\xbf", b"&x;",
+]  # fmt: skip
+VALUES = [
+    None, True, 0, -3, 1e300, 2**70, math.nan, math.inf, "", "x", "a\0b", "q" * 9_999, [], [1],
+    ["a"], {}, {"a": 1}, [[None]], [1e300] * 3, "links.mass",
+]  # fmt: skip
+CELLS = [
+    "1_0", "\u0661", "\uff11", "inf", "-inf", "nan", "NA", "1e400", "1e31", "0x10", "1,5", "1;5",
+    "-", ".", "e", "True", "0.5", "2e0", "+3", "007", '"1"2', '"', " 1 ", '"2"',
+]  # fmt: skip
+WORDS = [
+    "1_0", "nan", "inf", "-1", "", "x", "\u0661", "1e999", "a\0b", "q" * 9_999, "\udcff", "a=b",
+]  # fmt: skip
+
+
+def cut(data, rng):
+    """With one to three stretches taken out, repeated or replaced."""
+    for _ in range(rng.randint(1, 3)):
+        start = rng.randrange(len(data) + 1)
+        again = data[start : start + rng.randint(1, 200)] * rng.randint(2, 50)
+        data = (
+            data[:start] + rng.choice([*PIECES, again]) + data[start + rng.choice([0, 1, 9, 999]) :]
+        )
+    return data
+
+
+def changed(data, rng):
+    """Plain data with something in it gone, replaced or added."""
+    data = copy.deepcopy(data)
+    inner = data
+    while True:
+        keys = list(inner) if isinstance(inner, dict) else range(len(inner))
+        key = rng.choice(list(keys))
+        if not (isinstance(inner[key], dict | list) and inner[key]) or rng.random() < 0.2:
+            break
+        inner = inner[key]
+    how = rng.random()
+    if isinstance(inner[key], int | float) and how < 0.5:
+        inner[key] *= rng.choice([1.01, 2, 1])
+    elif how < 0.25:
+        del inner[key]
+    elif how < 0.4 and isinstance(inner, dict):
+        inner["unknown"] = rng.choice(VALUES)
+    else:
+        inner[key] = rng.choice(VALUES)
+    return data
+
+
+def toml(value):
+    """A value in TOML, which has no null."""
+    if isinstance(value, dict):
+        pairs = (f"{json.dumps(key)} = {toml(one)}" for key, one in value.items())
+        return "{" + ", ".join(pairs) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return (
+        "nil"
+        if value is None
+        else json.dumps(value).replace("NaN", "nan").replace("Infinity", "inf")
+    )
+
+
+def with_other_cells(data, rng):
+    lines = data.split(b"\n")
+    for _ in range(rng.choice([1, 1, 2])):
+        row = rng.randrange(len(lines) - 1)
+        cells = lines[row].split(b",")
+        cells[rng.randrange(len(cells))] = rng.choice(CELLS).encode()
+        lines[row] = b",".join(cells)
+    return b"\n".join(lines)
+
+
+def damage(path, rng):
+    """Damage a file."""
+    data, how, kind = path.read_bytes(), rng.random(), path.suffix
+    if how < 0.06:
+        path.unlink()
+        where = rng.choice(["folder", "pipe", "zero", "link", "gone", "empty", "UTF-16"])
+        if where == "folder":
+            path.mkdir()
+        elif where == "pipe":
+            os.mkfifo(path)
+        elif where in ("zero", "link"):
+            path.symlink_to("/dev/zero" if where == "zero" else "nowhere")
+        elif where != "gone":
+            path.write_bytes(b"" if where == "empty" else data.decode().encode("utf-16"))
+    elif how < (0.2 if kind == ".csv" else 0.4) or kind == ".xml":
+        path.write_bytes(cut(data, rng))
+    elif kind == ".csv":
+        path.write_bytes(with_other_cells(data, rng))
+    elif kind == ".toml":
+        table = changed(tomllib.loads(data.decode()), rng)
+        path.write_text("".join(f"{json.dumps(k)} = {toml(v)}\n" for k, v in table.items()))
+    elif kind == ".json":
+        path.write_text(json.dumps(changed(json.loads(data), rng)))
+    else:
+        lines = data.splitlines()
+        row = rng.choice([row for row, line in enumerate(lines) if line.endswith(b"}")])
+        lines[row] = json.dumps(changed(json.loads(lines[row]), rng)).encode()
+        path.write_bytes(b"\n".join(lines) + b"\n")
+
+
+# What a second reader, of the standard library alone, reads of it.
+
+
+def cells_of(path):
+    """Rows of a CSV file, header first."""
+    text = path.read_text(encoding="utf-8-sig").rstrip("\n")
+    return list(csv.reader(io.StringIO(text), strict=True))
+
+
+def number(cell):
+    cell = cell.strip()
+    if cell.lower() in ("", "nan", "na"):
+        return math.nan
+    assert cell.isascii(), cell
+    assert "_" not in cell, cell
+    return float(cell)
+
+
+def same_table(path, _):
+    header, *rows = cells_of(path)
+    table = read_table(path)
+    for name, column in zip(header, zip(*rows, strict=True), strict=True):
+        channel = next((c for c in table.channels.values() if c.column == name.strip()), None)
+        read = table.times if channel is None else table.values[channel.name]
+        if channel is not None and channel.quantity == "text":
+            assert list(read) == [cell.strip() or None for cell in column]
+        elif channel is not None or name.strip() == "time_s":
+            wanted = np.array([number(cell) for cell in column])
+            wanted = wanted if channel is None else channel.to_si(wanted)
+            np.testing.assert_allclose(read, wanted, rtol=1e-15)
+
+
+def same_points(path, home):
+    (_, *names), (_, *kinds), *rows = cells_of(path)[1:]
+    pairs = enumerate(zip(names, kinds, strict=True), 1)
+    column = {pair: [row[at] for row in rows] for at, pair in pairs}
+    header, *written = cells_of(home / "o.csv")
+    for point, part in (("elbow", "link03"), ("end", "tip")):
+        likely = [number(cell) for cell in column.get((point, "likelihood"), ["1"] * len(rows))]
+        for kind, axis in (("x", "u"), ("y", "v")):
+            cells = zip(map(number, column[point, kind]), likely, strict=True)
+            wanted = [value for value, p in cells if p >= 0.6 and not math.isnan(value)]
+            found = [number(row[header.index(f"{part}_{axis}_px")]) for row in written]
+            found = [value for value in found if not math.isnan(value)]
+            np.testing.assert_allclose(found, wanted, rtol=1e-8)
+
+
+def same_definition(path, _):
+    both = Definition.load(path).contents(), tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    # NaN is not NaN.
+    one, other = (json.loads(json.dumps(x, default=str), parse_constant=str) for x in both)
+    assert one == other
+
+
+def same_result(path, _):
+    record = json.loads(path.read_text())
+    try:
+        result = load_result(path)
+    except InputError:  # of what a fit that begins there does not read
+        return
+    for name, estimate in record["parameters"].items():
+        assert result.parameters[name].value == estimate["value"]
+        assert result.parameters[name].standard_error == estimate["standard_error"]
+    assert result.cost == record["cost"]
+
+
+def same_pad(path, _):
+    header, *rows = cells_of(path)
+    pad = read_pad(path)
+    for at, name in enumerate(header):
+        np.testing.assert_array_equal(pad[name.strip()], [number(row[at]) for row in rows])
+
+
+def same_plan(path, _):
+    grid = tomllib.loads(path.read_text(encoding="utf-8-sig")).get("grid", {})
+    assert len(Plan.load(path).cases) == math.prod(map(len, grid.values()))
+
+
+SAME = {
+    "run.csv": same_table, "loops.csv": same_table, "target.csv": same_table, "log.csv": same_table,
+    "film.csv": same_points, "run_fit.toml": same_definition, "run.toml": same_definition,
+    "arm.toml": same_definition, "result.json": same_result, "pad.csv": same_pad,
+    "plan.toml": same_plan,
+}  # fmt: skip
+
+
+# A case.
+
+
+class Hangs(BaseException):
+    """A case that takes longer than any may."""
+
+
+@contextlib.contextmanager
+def bounded():
+    """So many seconds of the processor, and so much more memory."""
+
+    def stop(number, frame):
+        raise Hangs
+
+    before, limits = signal.signal(signal.SIGPROF, stop), resource.getrlimit(resource.RLIMIT_AS)
+    size, resident = (int(n) * resource.getpagesize() for n in STATM.read_text().split()[:2])
+    REFERENCES.write_text("5")  # the highest from now on
+    # What is compiled meanwhile is taken from the cache, or would be by the next case.
+    signal.setitimer(signal.ITIMER_PROF, 12 * MOST_SECONDS)
+    resource.setrlimit(resource.RLIMIT_AS, (size + 8 * MOST_BYTES, limits[1]))
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+        signal.signal(signal.SIGPROF, before)
+    (highest,) = re.findall(r"VmHWM:\s+(\d+) kB", STATUS.read_text())
+    assert 1024 * int(highest) - resident < MOST_BYTES
+
+
+def try_one(seed, home, folder, seconds):
+    """One case; what it was, in words."""
+    rng = random.Random(seed)
+    command = rng.choices(list(COMMANDS), [1 + 3 * name.startswith(OFTEN) for name in COMMANDS])[0]
+    words, damaged = command.split(), rng.choice(COMMANDS[command])
+    shutil.copytree(home, folder)
+    if rng.random() < 0.1:
+        damaged = "a word"
+        place = rng.randrange(1, len(words))
+        words[place : place + 1] = [rng.choice(WORDS)]
+    else:
+        damage(folder / damaged, rng)
+    what = f"seed {seed}: {' '.join(words)[:300]!r} with {damaged} damaged"
+    began, compiling = time.process_time(), seconds()
+    with contextlib.chdir(folder), bounded():
+        try:
+            status, out, err = ended(words)
+        except BaseException as error:
+            raise AssertionError(f"{what} raised {error!r}") from error
+    took = time.process_time() - began - (seconds() - compiling)
+    assert status in (0, 1, 2, 3), f"{what} ended with {status}: {err}"
+    assert "Traceback" not in err + out, f"{what}: {err}"
+    assert took < MOST_SECONDS, f"{what} took {took:.1f} s"
+    if status == 2:
+        last = err.splitlines()[-1]
+        assert last.startswith("giajax: "), f"{what}: {err}"
+        assert 20 < len(last) < 2_500, f"{what}: {err}"
+    elif (folder / damaged).exists() and (same := SAME.get(Path(damaged).name)):
+        with contextlib.chdir(folder):
+            try:
+                same(Path(damaged), Path())
+            except Exception as error:
+                raise AssertionError(f"{what} was read otherwise: {error!r}") from error
+    return command, status
+
+
+@pytest.fixture
+def compiling(monkeypatch):
+    """Seconds of compiling so far; and what takes long ends with a sentence."""
+
+    def not_here(*_, **__):
+        raise InputError("this takes long, so that it is not computed here: leave it out")
+
+    for module, name in LONG:
+        monkeypatch.setattr(f"{module}.{name}", not_here)
+    total = [0.0]
+
+    def heard(event, duration, **_):
+        if event.startswith("/jax/core/compile/"):
+            total[0] += duration
+
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    yield lambda: total[0]
+    jax.monitoring.unregister_event_duration_listener(heard)
+
+
+def try_many(seeds, home, tmp_path, compiling):
+    read = 0
+    for seed in seeds:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            _, status = try_one(seed, home, tmp_path / "case", compiling)
+        read += status != 2
+        shutil.rmtree(tmp_path / "case")
+    # Neither are all of them refused.
+    assert len(seeds) / 20 < read < len(seeds) * 19 / 20
+
+
+# 300 cases.
+@pytest.mark.parametrize("part", range(6))
+def test_a_command_reads_or_refuses(home, tmp_path, compiling, part):
+    try_many(range(50 * part, 50 * part + 50), home, tmp_path, compiling)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("part", range(30))
+def test_a_command_reads_or_refuses_3000_others(home, tmp_path, compiling, part):
+    try_many(range(1_000 + 100 * part, 1_100 + 100 * part), home, tmp_path, compiling)
+
+
+def test_what_is_damaged_is_right_before(home, tmp_path, compiling):
+    shutil.copytree(home, tmp_path / "case")
+    with contextlib.chdir(tmp_path / "case"):
+        for command in COMMANDS:
+            status, _, err = ended(command.split())
+            assert status in (0, 1) or "this takes long" in err, (command, err)
+        for name, same in SAME.items():
+            ended(next(c for c in COMMANDS if "film.csv" in c).split())
+            same(Path("fit" if name == "result.json" else ".") / name, Path())
