@@ -101,15 +101,6 @@ def test_an_interruption_has_its_own_status(run, capsys, monkeypatch):
     assert capsys.readouterr().err == "giajax: interrupted\n"
 
 
-def test_a_bug_is_not_dressed_as_bad_input(run, monkeypatch):
-    def fail(*_, **__):
-        raise ZeroDivisionError
-
-    monkeypatch.setattr("giajax.recordings.read_run", fail)
-    with pytest.raises(ZeroDivisionError):
-        main(["check", str(run)])
-
-
 WITHOUT = """
 import sys
 from giajax.cli import main
@@ -151,6 +142,23 @@ def test_a_closed_pipe_is_no_complaint(run):
     assert process.stderr.read() == b""
     process.stderr.close()
     assert process.wait() == 141
+
+
+def test_what_nobody_expects_is_a_sentence_and_a_file(run, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("giajax.recordings.describe", lambda run: 1 / 0)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert main(["check", str(run)]) == 4
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert err.startswith(
+        "giajax: something went wrong that is not of the input (ZeroDivisionError ("
+    )
+    (file,) = tmp_path.glob("giajax-*.txt")
+    assert f"report it with {file}, which has the traceback" in err
+    assert f" check {run}\n\nTraceback (most recent call last):\n" in file.read_text()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
+    assert main(["check", str(run)]) == 4
+    assert "its traceback cannot be written (No such file or directory)" in capsys.readouterr().err
 
 
 def test_a_list_of_commands_and_each_of_their_helps_are_there(capsys):

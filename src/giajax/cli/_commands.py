@@ -8,12 +8,14 @@ import re
 import shlex
 import shutil
 import sys
+import tempfile
 import textwrap
 import time
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from inspect import Parameter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -21,7 +23,7 @@ from typer.core import TyperCommand, TyperGroup
 from ..runtime.files import check_path
 from ..runtime.plugins import load_plugin
 from ..runtime.process import CORES_VARIABLE, configure, is_stopped, stopped_status
-from ..runtime.text import InputError, abridged, shown, time_in_words
+from ..runtime.text import InputError, __version__, abridged, error_in_words, shown, time_in_words
 from ._values import number
 
 if TYPE_CHECKING:
@@ -173,6 +175,7 @@ def _check(of: Any, word: str, name: str) -> None:
 
 
 BAD_INPUT = 2
+BROKEN = 4
 BROKEN_PIPE = 141
 
 # Typer brings its own click since 0.16 or so, and used the installed one before: what it raises
@@ -208,32 +211,95 @@ def _endings() -> Iterator[None]:
         yield
     except (KeyboardInterrupt, typer.Abort):
         raise Ended(stopped_status()) from None
-    except BrokenPipeError:
-        raise Ended(BROKEN_PIPE) from None
+
+
+class Output:
+    """Standard output or error of a command, which goes on to its end where that takes no more.
+
+    What its reader does not read, or a full disk does not take, is left out; `error` says why.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        self.error: OSError | None = None
+
+    def write(self, text: str) -> int:
+        """Write a text, if it can be."""
+        self._tried(self._stream.write, text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Have on its way what was written."""
+        self._tried(self._stream.flush)
+
+    def _tried(self, function: Callable[..., Any], *arguments: Any) -> None:
+        if self.error is not None:
+            return
+        try:
+            function(*arguments)
+        except OSError as error:
+            self.error = error
+            # Python flushes it once more at exit: into nothing.
+            with contextlib.suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "buffer":  # by which click would write past this
+            raise AttributeError(name)
+        return getattr(self._stream, name)
 
 
 def run(command: Any, arguments: list[str]) -> int:
-    """Run the command line. An `InputError` and a usage error are one line on standard error.
+    """Run the command line. Whatever goes wrong is one line on standard error.
 
     The exit status is 0, or that of the command's `typer.Exit(status)`; 2 for bad input or usage;
-    130 when interrupted, 143 when terminated.
+    4 for what else goes wrong, whose traceback is in a file, or where standard output cannot be
+    written; 129, 130 or 143 by a signal; 141 where nobody reads standard output to its end.
     """
+    out, err = Output(sys.stdout), Output(sys.stderr)
+    with contextlib.redirect_stdout(cast(Any, out)), contextlib.redirect_stderr(cast(Any, err)):
+        status = _ended(command, arguments)
+        out.flush()
+        if isinstance(out.error, BrokenPipeError):
+            return status or BROKEN_PIPE
+        if out.error is not None:
+            _say(
+                f"standard output cannot be written ({out.error.strerror}): what it lacks is lost, "
+                "and files that were written are whole",
+                BROKEN,
+            )
+            return status or BROKEN
+    return status
+
+
+def _ended(command: Any, arguments: list[str]) -> int:
+    """Run the command line; the exit status."""
     try:
         with _endings():
             result = command.main(args=arguments, prog_name="giajax", standalone_mode=False)
-            sys.stdout.flush()
     except InputError as error:
         return _say(str(error), BAD_INPUT)
     except UsageError as error:
         return _say(_usage(error), BAD_INPUT)
     except Ended as ended:
-        if ended.status != BROKEN_PIPE:
-            return _say("interrupted", ended.status)
-        # The reader has gone. Python flushes standard output once more at exit: into nothing.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
+        return _say("interrupted", ended.status)
+    except Exception as error:
+        return _say(_unexpected(error, arguments), BROKEN)
     # Without standalone mode typer returns the status of `typer.Exit`, else what the command did.
     return result if isinstance(result, int) else 0
+
+
+def _unexpected(error: Exception, arguments: list[str]) -> str:
+    """What no command expects, as a sentence, and its traceback in a file."""
+    what = f"something went wrong that is not of the input ({error_in_words(error)})"
+    trace = "".join(traceback.format_exception(error))
+    try:
+        handle, path = tempfile.mkstemp(prefix="giajax-", suffix=".txt")
+        with open(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(f"giajax {__version__} {shlex.join(arguments)}\n\n{trace}")
+    except OSError as full:
+        return f"{what}, and its traceback cannot be written ({full.strerror}): free some space"
+    return f"{what}: report it with {path}, which has the traceback"
 
 
 def _say(sentence: str, status: int) -> int:

@@ -225,7 +225,8 @@ def run_of(table: Table, path: Path, definition: Definition) -> Run:
 
 def sidecar_path(path: str | Path) -> Path:
     """Where the sidecar of a run lies, whether or not there is one."""
-    return Path(path).with_suffix(".toml")
+    path = Path(path)
+    return path.parent / f"{path.stem}.toml"  # of "." too, which is no run
 
 
 def read_sidecar(path: str | Path) -> Definition:

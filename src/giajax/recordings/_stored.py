@@ -116,6 +116,7 @@ class _Result:
     """Of a result, what is used without its model."""
 
     __pydantic_config__ = _OTHERS
+    schema_version: int
     model: str
     status: str
     parameters: dict[str, _Estimate]
@@ -126,6 +127,7 @@ class _Result:
     correlation: dict[str, Any]
     history: list[dict[str, Any]]
     held_out: list[_FittedRun] = dataclasses.field(default_factory=list)
+    versions: dict[str, str] = dataclasses.field(default_factory=dict)
 
 
 def stored_result(path: str | Path) -> tuple[Path, dict[str, Any]]:

@@ -200,8 +200,10 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     add("gradient check", [_gradient(result)])
     add("solver tolerance", [_tolerance(result)])
     add("conditions", result.conditions)
-    seconds = result.seconds
-    add("time", [f"{seconds.run:.2g} s, and {seconds.compile:.2g} s to compile or load"])
+    took, compiling = (
+        format_number(s, ".2g") for s in (result.seconds.run, result.seconds.compile)
+    )
+    add("time", [f"{took} s, and {compiling} s to compile or load"])
     return rows
 
 

@@ -8,7 +8,6 @@ import signal
 import socket
 import threading
 import time
-import traceback
 from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from concurrent.futures import (
@@ -29,7 +28,7 @@ from .plugins import load_plugin, plugins
 from .process import CORES_VARIABLE, configure, is_own_process, is_stopped, own_process
 from .records import plain_data
 from .tasks import Outcome, Task, read_outcome, write_outcome
-from .text import InputError, abridged
+from .text import InputError, abridged, error_in_words
 
 Kept = TypeVar("Kept")
 
@@ -80,7 +79,7 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
     except InputError as error:
         message = str(error)
     except Exception as error:
-        message = _sentence(error)
+        message = error_in_words(error)
     # A fit that is stopped returns, and what it returns is no result.
     if is_stopped():
         raise KeyboardInterrupt
@@ -91,13 +90,6 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
     if folder is not None and not message:
         write_outcome(folder, outcome)
     return outcome
-
-
-def _sentence(error: Exception) -> str:
-    """An error that is no `InputError`: what, where, and why."""
-    frames = traceback.extract_tb(error.__traceback__)
-    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return abridged(" ".join(f"{type(error).__name__}{where}: {error}".split()))
 
 
 @functools.cache

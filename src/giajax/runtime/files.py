@@ -65,8 +65,9 @@ def read_bytes(path: Path, most: int) -> bytes:
         device = _DEVICES.get(stat.S_IFMT(state.st_mode))
         if device is not None:
             raise InputError(f"{path} is {device}, but must be a file: write its content to one")
-        # A file may grow, and those of the system say no size.
-        data = b"" if state.st_size > most else file.read(most + 1)
+        data = b"" if state.st_size > most else file.read(state.st_size + 1)
+        if len(data) > state.st_size:  # a file that grows, or one of the system, which says no size
+            data += file.read(most + 1 - len(data))
     if (size := max(state.st_size, len(data))) > most:
         raise InputError(f"{path} has {size:,} bytes, but may have {most:,} at most: shorten it")
     return data

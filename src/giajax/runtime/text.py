@@ -7,8 +7,10 @@ import inspect
 import math
 import re
 import textwrap
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 
 if TYPE_CHECKING:
@@ -187,6 +189,13 @@ def abridged(sentence: str) -> str:
 
 def _without_middle(text: str, each: int) -> str:
     return f"{text[:each]}...{text[-each:]}"
+
+
+def error_in_words(error: BaseException) -> str:
+    """An error that is no `InputError` on one line: what, where, and why."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({PurePath(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return abridged(" ".join(f"{type(error).__name__}{where}: {error}".split()))
 
 
 class InputError(ValueError):
