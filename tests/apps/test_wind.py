@@ -27,6 +27,7 @@ from giajax.apps.wind import (
     tapered,
 )
 from giajax.cli import main
+from giajax.recordings import write_run
 from giajax.simulation import constant, logged
 
 MODEL = ArmModel(giajax.takeichi_20m(2))
@@ -278,6 +279,7 @@ def test_the_command_writes_what_it_found_and_not_over_it(tmp_path, capsys):
     wind = ",".join(f"{0.75 * part:.9g}" for part in MEAN)
     asked = ["wind", "--data", RESTING, "--wind", wind, "--gusts", "0.3:4", "--skip", "4"]
     asked += ["--highest", "1", "--hold", "deviation", "--hold", "length_scale", "--out", out]
+    asked += ["--quiet"]
     assert main([str(part) for part in asked]) == 0
     text, error = capsys.readouterr()
     assert error == ""
@@ -293,3 +295,51 @@ def test_the_command_writes_what_it_found_and_not_over_it(tmp_path, capsys):
     error = capsys.readouterr().err
     assert "--force" in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.quick
+def test_a_beginning_that_is_unlike_the_rest_is_found():
+    """Of records without one at most a few lose anything."""
+    times = np.arange(0.0, 600.0, 0.2)
+    random = np.random.default_rng(0)
+    # Gusts of some seconds, one after the other.
+    kernel = np.exp(-np.arange(0, 40, 0.2) / 5.0)
+
+    def begun(amplitude, lasts, command=0.0):
+        gusty = [np.convolve(random.normal(size=len(times) + 199), kernel, "valid") for _ in "yz"]
+        beginning = amplitude * np.exp(-times / lasts) * np.cos(0.9 * times)
+        columns = {f"link02_{axis}": g / np.std(g) for axis, g in zip("yz", gusty, strict=True)}
+        columns["link02_z"] += beginning
+        columns["joint01_command"] = np.where(times < 40, command, 0.0)
+        return resting(MODEL, Run.from_arrays(times, columns), highest=0.5)
+
+    assert sum(begun(0.0, 1.0).settled > 0 for _ in range(200)) <= 2
+    found = [begun(15.0, 20.0).settled for _ in range(20)]
+    assert 30 < min(found) <= max(found) < 120
+    late = begun(0.0, 1.0, command=0.3)
+    assert late.settled == pytest.approx(40.0)
+    assert np.ptp(late.command) == 0
+
+
+def test_an_arm_that_still_came_to_rest_and_the_channels_that_are_asked_for(tmp_path, capsys):
+    run = read_run(RESTING)
+    since = run.times - run.times[0]
+    swing = 0.3 * np.exp(-since / 4) * np.cos(1.1 * since)
+    path = tmp_path / "run.csv"
+    values = {**run.values, "joint01_angle": run.values["joint01_angle"] + swing}
+    write_run(path, run.times, values, definition={**run.definition.contents(), "sha256": None})
+    words = ["wind", "--data", str(path), "--wind", ",".join(map(str, MEAN)), "--highest", "1.3"]
+    words += ["--gusts", "0.15:2", "--hold", "deviation", "--hold", "length_scale", "--json"]
+    speeds = []
+    for more in ([], ["--skip", "0"]):
+        assert main([*words, "--channels", "joint01_angle", *more]) == 0
+        said = capsys.readouterr()
+        assert "log-likelihood" in said.err
+        facts = json.loads(said.out)
+        assert facts["channels"] == ["joint01_angle"]
+        speeds.append(facts["numbers"]["speed"])
+        assert ("still came to rest" in said.out) == (not more)
+    assert abs(speeds[0]["value"] - SPEED) < 3 * speeds[0]["standard_error"]
+    assert abs(speeds[1]["value"] - SPEED) > 3 * speeds[1]["standard_error"]
+    assert main([*words, "--channels", "link09_z"]) == 2
+    assert "has no channel 'link09_z'" in capsys.readouterr().err

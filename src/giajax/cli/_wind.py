@@ -15,6 +15,7 @@ from ._commands import (
     Texts,
     command,
     print_table,
+    say_progress,
     say_written,
     write_folder,
 )
@@ -53,12 +54,15 @@ def wind(
     free: Annotated[Texts, "NAME", "Fit this, too."] = None,
     hold: Annotated[Texts, "NAME", "Hold this."] = None,
     no_mean: Annotated[bool, "Do not use where the arm rests, only how it moves there."] = False,
-    skip: Annotated[float, "S", "Leave out the beginning, until gusts alone move."] = 0.0,
+    skip: Annotated[
+        float | None, "S", "Leave out so much of the beginning. [until the arm has come to rest]"
+    ] = None,
     highest: Annotated[float | None, "HZ", "Highest frequency. [half of what rows resolve]"] = None,
     channels: OnlyChannels = None,
     rename: Renamed = None,
     out: Annotated[Path | None, "DIR", "Write wind.json and wind.png there."] = None,
     as_json: Json = False,
+    quiet: Annotated[bool, "No progress."] = False,
     force: Force = False,
 ) -> None:
     """Fit mean flow and gusts to the recording of a resting arm.
@@ -66,15 +70,15 @@ def wind(
     Spectra and mean of its channels are compared with those of the arm, linearised about its
     rest, in von Karman's gusts; the gusts themselves stay unknown.
     """
-    from ..recordings import Definition, check_output_folder, parse_rename, read_run
+    from ..recordings import check_output_folder, observing, parse_rename, read_run
 
     if out is not None:
         check_output_folder(out, _FILES, force=force)
     parts, length_scale = gust_numbers(gusts)
     begin = None if mean is None else velocity(mean, "--wind")
-    settings = {"fit": {"channels": channels}} if channels else {}
-    definition = definition_of(model).merged_with(Definition.parse(settings, "the command line"))
-    run = read_run(data, definition=definition, rename=parse_rename(rename or []))
+    run = read_run(data, definition=definition_of(model), rename=parse_rename(rename or []))
+    if channels:
+        run = observing(run, channels)
     configure()
     from ..apps.wind import USUALLY, fit_wind, wind_figure, wind_json
     from ..report import to_png
@@ -96,6 +100,7 @@ def wind(
         use_mean=not no_mean,
         skip=skip,
         highest=highest,
+        progress=say_progress(quiet),
     )
     text = wind_json(found, run)
     if out is not None:

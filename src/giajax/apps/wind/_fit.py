@@ -142,6 +142,11 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
         )
     if found.left_out:
         notes.append(f"left out because they bend more than they move: {', '.join(found.left_out)}")
+    if settled := expects.record.settled:
+        notes.append(
+            f"the first {settled:.3g} s, in which the arm still came to rest, were left out: a "
+            "skip of 0 keeps them"
+        )
     if filled := expects.record.filled:
         notes.append(f"{filled:.1%} of the cells were empty and are filled by straight lines")
     return tuple(notes)
@@ -230,8 +235,9 @@ def fit_wind(
     decay: float = DECAY,
     free: Sequence[str] = USUALLY,
     use_mean: bool = True,
-    skip: float = 0.0,
+    skip: float | None = None,
     highest: float | None = None,
+    progress: Callable[[str], object] | None = None,
 ) -> WindFit:
     """Fit mean flow and turbulence to the spectra and the mean of a resting arm.
 
@@ -251,8 +257,9 @@ def fit_wind(
         free: of `speed`, `deviation`, `length_scale`, `decay`, `heading` and `climb`.
         use_mean: whether the mean of each channel counts, too, which needs an arm whose pose
             without wind is right.
-        skip: what is left out at the beginning, s.
+        skip: what is left out at the beginning, s; by default until the arm has come to rest.
         highest: frequency to look up to, Hz; by default half of what rows resolve.
+        progress: called with a sentence after each step.
 
     Raises:
         InputError: a run that moves, is uneven or too short, an arm with friction or memory, no
@@ -289,7 +296,8 @@ def fit_wind(
             record.values.mean(axis=0),
         )
         noise = np.array([from_differences(column) for column in record.values.T])
-        found = most_likely(_expectation(expects, numbers), numbers.start(noise), recorded)
+        start = numbers.start(noise)
+        found = most_likely(_expectation(expects, numbers), start, recorded, progress)
         wind = numbers.at(found.x)[0]
         still = _straight(model, record, wind)
         if len(still.names) == len(record.names):

@@ -208,7 +208,12 @@ def gradient_and_information(
     return gradient, information
 
 
-def most_likely(model: Model, start: np.ndarray, recorded: Recorded) -> OptimizeResult:
+def most_likely(
+    model: Model,
+    start: np.ndarray,
+    recorded: Recorded,
+    progress: Callable[[str], object] | None = None,
+) -> OptimizeResult:
     """The numbers that make a record most likely, by SciPy's exact trust region.
 
     Fisher's information stands for the second derivatives. Of the result `x` are the numbers,
@@ -230,9 +235,14 @@ def most_likely(model: Model, start: np.ndarray, recorded: Recorded) -> Optimize
             known[key] = gradient_and_information(model(at), slopes(model, at), recorded)
         return known[key]
 
+    def said(intermediate_result: OptimizeResult) -> None:
+        if progress is not None:
+            progress(f"log-likelihood {-intermediate_result.fun:.6g}")
+
     return minimize(
         cost,
         start,
+        callback=said,
         jac=lambda at: -slopes_at(at)[0],
         hess=lambda at: slopes_at(at)[1],
         method="trust-exact",

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import t as student
 
 from ...models import ArmModel, camera_of, clock_of
 from ...recordings import Run
@@ -93,6 +94,7 @@ class Resting:
         noise: for each channel the deviation of its white noise, and that of its noise with a
             memory with its time (s), SI; None where nothing is stated.
         filled: share of the cells that were empty.
+        settled: after how long the arm had come to rest, s, where that was looked for.
     """
 
     names: tuple[str, ...]
@@ -104,6 +106,7 @@ class Resting:
     quantities: tuple[str, ...]
     noise: tuple[tuple[float, float, float] | None, ...]
     filled: float
+    settled: float = 0.0
 
     def of(self, chosen: Sequence[int]) -> "Resting":
         """Only some of the channels."""
@@ -118,7 +121,7 @@ class Resting:
 
 
 def resting(
-    model: ArmModel, run: Run, *, skip: float = 0.0, highest: float | None = None
+    model: ArmModel, run: Run, *, skip: float | None = None, highest: float | None = None
 ) -> Resting:
     """The record of a run of the arm; `skip` (s) and `highest` (Hz) are as of `fit_wind`."""
     if run.model != "arm" or run.times is None:
@@ -141,6 +144,8 @@ def resting(
                 f"'{run.name}' has {name}, of which there are no spectra here: leave it out with "
                 "--channels"
             )
+    settled = _settled(run, run.times) if skip is None else 0.0
+    skip = settled if skip is None else skip
     kept = run.times >= run.times[0] + skip
     times = run.times[kept]
     if not 0 <= skip < np.inf or len(times) < 2:
@@ -179,7 +184,41 @@ def resting(
         quantities=tuple(run.channels[name].quantity for name in run.observations),
         noise=tuple(_noise(run, name) for name in run.observations),
         filled=filled,
+        settled=settled,
     )
+
+
+_BLOCKS = 32
+_BY_CHANCE = 1e-3  # that a record without a transient loses its beginning
+
+
+def _settled(run: Run, times: np.ndarray) -> float:
+    """After how long the arm has come to rest, s: in which the record is unlike its second half.
+
+    After the last command, mean and deviation of each channel in blocks are compared with those of
+    the blocks of the second half, by Student's distribution.
+    """
+    moving = [np.abs(column - column[-1]) > _STILL for column in run.commands.values()]
+    rows = np.flatnonzero(np.any(moving, axis=0)) if moving else np.array([], dtype=int)
+    first = int(rows[-1]) + 1 if rows.size and rows[-1] < len(times) // 2 else 0
+    length = (len(times) - first) // _BLOCKS
+    begun = float(times[first] - times[0])
+    if length < 4:
+        return begun
+    table = np.stack([*run.observations.values()], axis=1)[first : first + _BLOCKS * length]
+    blocks = np.ma.masked_invalid(table.reshape(_BLOCKS, length, -1))
+    spread = np.log(np.maximum(blocks.std(axis=1), 1e-300))
+    told = np.ma.concatenate([blocks.mean(axis=1), spread], axis=1)
+    half = _BLOCKS // 2
+    later = told[half:]
+    deviation = np.maximum(later.std(axis=0, ddof=1) * np.sqrt(1 + 1 / half), 1e-300)
+    highest = student.ppf(1 - _BY_CHANCE / (2 * told.shape[1]), half - 1)
+    odd = np.any((np.abs(told - later.mean(axis=0)) / deviation).filled(0) > highest, axis=1)
+    if not odd[0]:
+        return begun
+    # As long again, in which what is left of it decays below what can be seen.
+    until = min(2 * int(np.argmin(np.append(odd[:half], False))), half)
+    return float(times[first + until * length] - times[0])
 
 
 def _command(model: ArmModel, run: Run, kept: np.ndarray) -> np.ndarray:
