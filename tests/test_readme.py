@@ -68,19 +68,25 @@ def test_the_files_that_pages_show_are_legal():
 
 
 @pytest.mark.slow
-def test_the_files_and_commands_of_an_own_arm_run(tmp_path, monkeypatch):
-    """Blocks that begin with a name are files; what `giajax simulate` set is found again."""
+@pytest.mark.parametrize(
+    ("page", "folder", "truth"), [("own_arm.md", "mine", 1.3), ("film.md", "tube", 1.15)]
+)
+def test_the_files_and_commands_of_a_page_run(page, folder, truth, tmp_path, monkeypatch):
+    """Blocks that begin with a name are files; the C_D of a simulation is found again."""
     monkeypatch.chdir(tmp_path)
-    text = PAGES["own_arm.md"].read_text(encoding="utf-8")
+    text = PAGES[page].read_text(encoding="utf-8")
     (tmp_path / "robot.xml").write_text(ROBOT)
     for language, block in re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
         if language == "toml":
             (tmp_path / block.split()[1]).write_text(block)
         for line in () if language else block.replace("\\\n", "").splitlines():
             assert main(shlex.split(line)[1:]) == 0, line
-    drag = giajax.load_result("mine").parameters["air.drag_coefficient"]
-    assert abs(drag.value - 1.3) < 3 * drag.standard_error < 0.3
-    assert (tmp_path / "exported" / "arm.xml").exists()
+    result = giajax.load_result(folder)
+    drag = result.parameters["air.drag_coefficient"]
+    assert abs(drag.value - truth) < 3 * drag.standard_error < 0.3
+    assert result.verdict.status == "adequate"
+    if page == "own_arm.md":
+        assert (tmp_path / "exported" / "arm.xml").exists()
 
 
 ROBOT = """<mujoco><compiler angle="radian"/><worldbody><body><joint axis="0 -1 0" damping="0.01"

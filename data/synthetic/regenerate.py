@@ -20,6 +20,7 @@ import shlex
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -518,6 +519,39 @@ def wind_input() -> str:
     return "\n".join([header, *lines]) + "\n"
 
 
+# A tube of cardboard that swings from a pin: docs/film.md has the same, but for its C_D.
+_TUBE: dict[str, dict[str, Any]] = {
+    "arm": {
+        "preset": "pendulum",
+        "links": 1,
+        "link_length_m": 0.6,
+        "link_diameter_m": 0.08,
+        "link_mass_kg": 0.03,
+        "buoyancy": True,
+        "parameters": {"air.drag_coefficient": 1.15},
+    },
+    "initial": {"angle_deg": 50.0},
+}
+
+
+def film() -> str:
+    """`film.txt`: where Tracker saw the end of a swinging tube, in cm, and not in every picture."""
+    from giajax import model_for, predict
+
+    times = np.arange(181) / 30
+    still = np.zeros_like(times)
+    plan = Run.from_arrays(times, {"tip_x": still, "tip_z": still}, definition=_TUBE)
+    seen = predict(model_for([plan]).refined(1e-3), plan)
+    random = np.random.default_rng(12)
+    places = 100 * np.stack([seen["tip_x"], seen["tip_z"]], axis=1)
+    places += 0.2 * random.normal(size=places.shape)
+    lines = ["\ttip\t\t", "t\tx\ty\t"]
+    for time, place, lost in zip(times, places, random.random(len(times)) < 0.05, strict=True):
+        cells = ["", ""] if lost else [f"{value:.3f}" for value in place]
+        lines.append("\t".join([f"{time:.4f}", *cells]))
+    return "\n".join(lines) + "\n"
+
+
 def command_line(name: str) -> str:
     """The command that makes a run, to be given in this folder."""
     if name in STILL:
@@ -573,12 +607,21 @@ def readme() -> str:
             command_line(name),
             "```",
         ]
+    lines += [
+        "",
+        "## film.txt",
+        "",
+        "A table of Tracker, of the end of a tube that swings (`docs/film.md`).",
+        "",
+        f"- truth: `air.drag_coefficient` {_TUBE['arm']['parameters']['air.drag_coefficient']:g}",
+    ]
     return "\n".join(lines) + "\n"
 
 
 def write() -> None:
     """Make everything in this folder again."""
     (HERE / "inputs" / "wind.csv").write_text(wind_input())
+    (HERE / "film.txt").write_text(film())
     for name in (*RUNS, *STILL):
         make(name, HERE / f"{name}.csv")
         print(f"wrote {name}.csv")
@@ -640,6 +683,15 @@ def check() -> list[str]:
     found = [difference for name in (*RUNS, *STILL) for difference in differences(name)]
     if (HERE / "inputs" / "wind.csv").read_text() != wind_input():
         found.append("inputs/wind.csv is not what the table says")
+    seen = [
+        np.genfromtxt(io.StringIO(text), delimiter="\t", skip_header=2)
+        for text in (
+            (HERE / "film.txt").read_text(),
+            film(),
+        )
+    ]
+    if not np.allclose(*seen, atol=2e-3, rtol=0, equal_nan=True):  # the last digit, rounded
+        found.append("film.txt is not what its function makes")
     if not found and (HERE / "README.md").read_text() != readme():
         found.append("README.md is not up to date")
     return found

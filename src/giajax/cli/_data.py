@@ -256,7 +256,7 @@ def import_(
 _DATA = ("data/synthetic", "data/independent", "data/recorded")
 _FOLDERS = ("fits", "missions", *_DATA)
 _MANY = 5
-_COPIED = (".csv", ".toml", ".md", "")  # a licence has no suffix
+_COPIED = (".csv", ".toml", ".md", ".txt", "")  # a licence has no suffix
 
 
 @command("""\b
