@@ -11,6 +11,7 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -133,6 +134,8 @@ def _bracketed(unit: str) -> str:
     return f"({unit})" if "/" in unit or " " in unit else unit
 
 
+_Followers = dict[str, tuple[str, Tie]]
+
 _ROUNDING = 1e-5  # part of a gradient in undetermined directions that is rounding of the Jacobian
 
 
@@ -149,9 +152,8 @@ def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Est
     followers = _followers(model, problem.ties)
     if not units and not followers:
         return {}
-    of_values = derived_quantities(problem, statistics.values)
     values = jnp.asarray(statistics.values[:count], dtype=jnp.result_type(float))
-    at, slopes = of_values(values), jax.jacfwd(of_values)(values)
+    at, slopes = _with_slopes(problem, followers, values)
     norms, loose = _loose(statistics.root)
     alive = statistics.alive[statistics.alive < count]
     estimates = {}
@@ -186,14 +188,21 @@ def derived_quantities(problem: Problem, values: np.ndarray) -> Callable[[Array]
     Tied elements that are equal at `values` are one. JAX differentiates the function.
     """
     model = problem.with_values(problem.means(values[: problem.shared]))
-    followers = _followers(model, problem.ties)
+    return functools.partial(_quantities, problem, _followers(model, problem.ties))
 
-    def quantities(values: Array) -> dict[str, Array]:
-        model = problem.with_values(problem.means(values))
-        tied = {path: get(model, part) for path, (part, _) in followers.items()}
-        return {**tied, **{name: d.value for name, d in capabilities.derived(model).items()}}
 
-    return quantities
+def _quantities(problem: Problem, followers: _Followers, values: Array) -> dict[str, Array]:
+    model = problem.with_values(problem.means(values))
+    tied = {path: get(model, part) for path, (part, _) in followers.items()}
+    return {**tied, **{name: d.value for name, d in capabilities.derived(model).items()}}
+
+
+@eqx.filter_jit  # one program where each operation alone would be one
+def _with_slopes(
+    problem: Problem, followers: _Followers, values: Array
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    of_values = functools.partial(_quantities, problem, followers)
+    return of_values(values), jax.jacfwd(of_values)(values)
 
 
 def derived_quantity(
@@ -244,12 +253,12 @@ def _loose(root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return norms, right[singular < COLLINEAR * singular[0]]
 
 
-def _followers(model: AbstractModel, ties: Sequence[Tie]) -> dict[str, tuple[str, Tie]]:
+def _followers(model: AbstractModel, ties: Sequence[Tie]) -> _Followers:
     """By the name to show, the path of a tied parameter or element, and its tie.
 
     Elements that are tied to the same value are one.
     """
-    followers: dict[str, tuple[str, Tie]] = {}
+    followers: _Followers = {}
     for tie in ties:
         same = len({float(get(model, part)) for part in tie.elements}) == 1
         shown = [(tie.path, tie.elements[0])] if same else [(p, p) for p in tie.elements]

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,6 +21,7 @@ from ..mechanics.arm import (
     trimmed,
 )
 from ..recordings import Run
+from ..runtime.arrays import Array, Scalar
 from ..runtime.text import InputError
 from ..schema import (
     AIR,
@@ -362,16 +364,25 @@ def _displacing(arm: Arm, air: Air) -> Arm:
 
 def _floating(arm: Arm, depth: float | None) -> Arm:
     """The arm with trim weights that make each link float."""
-    still = float(arm.gravity) == 0
     below = None if depth is None else jnp.asarray(depth, jnp.result_type(float))
+    other, ratio = _afloat(arm, below)
+    held: Any = other.buoyancy
+    length, place = np.asarray(arm.links.length), np.asarray(held.trim_position)
+    if np.any(np.asarray(held.trim_mass) < 0) or np.any((place < 0) | (place > length)):
+        raise InputError("no trim weights on its links make this arm float")
+    return _moved_alike(other, arm, float(ratio))
+
+
+@eqx.filter_jit  # one program where each operation alone would be one
+def _afloat(arm: Arm, below: Array | None) -> tuple[Arm, Scalar]:
+    """A floating arm, and how many times as heavy it is."""
     other = dataclasses.replace(
         arm,
         buoyancy=Buoyancy(trim_position=arm.links.length / 2, trim_depth=below),
-        gravity=jnp.asarray(STANDARD_GRAVITY) if still else arm.gravity,
+        gravity=jnp.where(arm.gravity == 0, STANDARD_GRAVITY, arm.gravity),
     )
     other = trimmed(other, level=True)
-    ratio = float(jnp.sum(bodies(other).mass) / jnp.sum(bodies(arm).mass))
-    return _moved_alike(other, arm, ratio)
+    return other, jnp.sum(bodies(other).mass) / jnp.sum(bodies(arm).mass)
 
 
 def _moved_alike(other: Arm, arm: Arm, ratio: float) -> Arm:

@@ -594,8 +594,10 @@ def _switches(
 
     Not of every one, but of those that say otherwise why a nuisance is not what it usually is.
     """
-    free = {direction.path for direction in asked.free}
     changes: dict[str, list[np.ndarray]] = {}
+    if not (every or result.nuisances):
+        return changes
+    free = {direction.path for direction in asked.free}
     base: list[Response] | None = None
 
     def predicted(model: AbstractModel, variant: str | None = None) -> list[Response]:
