@@ -1,5 +1,6 @@
 """The command `giajax`, and `python -m giajax`: it listens for signals before all else."""
 
+import contextlib
 import gc
 import os
 import sys
@@ -17,6 +18,7 @@ def main() -> int:
     Returns:
         The exit status.
     """
+    _open_streams()
     listen()
     gc.set_threshold(_OBJECTS, 50, 100)
     # The matrices of NumPy and SciPy are small here, and threads of theirs wait for each other by
@@ -28,8 +30,27 @@ def main() -> int:
         own_process()
         return command_line()
     except KeyboardInterrupt:  # while the command line was imported
-        print("giajax: interrupted", file=sys.stderr)
+        with contextlib.suppress(OSError):
+            print("giajax: interrupted", file=sys.stderr, flush=True)
         return stopped_status()
+
+
+def _open_streams() -> None:
+    """Have all standard streams, and in them a form of every character, before all else.
+
+    The next file that is opened would else have the number of one that was closed (`>&-`), and be
+    written to by what prints.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            handle = os.open(os.devnull, os.O_RDWR)
+            if handle != number:
+                os.dup2(handle, number)
+                os.close(handle)
+            opened = os.fdopen(number, "w" if number else "r", encoding="utf-8")
+            setattr(sys, name, opened)
+        elif number and getattr(sys, name).errors == "strict":
+            getattr(sys, name).reconfigure(errors="backslashreplace")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..mechanics.arm import Arm, bodies, chain, lift, six_points
+from ..runtime.files import read_text
+from ..runtime.limits import RESULT_BYTES
 from ..runtime.text import InputError, one_of
 
 if TYPE_CHECKING:
@@ -68,6 +70,7 @@ def read_mjcf(
             hinge or lies off the line of the others; a link that nothing says the size of.
     """
     mujoco = _mujoco()
+    read_text(Path(path), RESULT_BYTES, "XML", "an MJCF or URDF file")
     try:
         model = mujoco.MjSpec.from_file(str(path)).compile()
     except (ValueError, OSError) as error:

@@ -1,6 +1,7 @@
 """`giajax drive` and `view`: an arm in a browser, driven or shown, and what a pad did."""
 
 import itertools
+import os
 import sys
 import time
 from collections.abc import Mapping
@@ -33,10 +34,13 @@ from ._values import noise_section, settings, with_settings
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..apps.driving import Session, TipCamera
+    from ..apps.driving import Session, TipCamera, Unfinished
     from ..apps.synthetic import Drive
     from ..models import ArmModel
     from ..recordings import Definition
+
+# Rows of a drive are on the disk so often, s: a kill loses no more.
+_KEPT_S = 0.5
 
 # Of gusts, s; then they begin again. And how often their rows are.
 _GUSTY, _GUST_RATE = 1800.0, 10.0
@@ -85,14 +89,19 @@ def wind_of(
     return Drive(np.array([0.0, _GUSTY]), values, "linear")
 
 
-def replay_table(session: "Session", table: "Mapping[str, np.ndarray]") -> None:
+def replay_table(
+    session: "Session", table: "Mapping[str, np.ndarray]", unfinished: "Unfinished"
+) -> None:
     """Drive by a table; says how far it is, where somebody watches."""
     from ..apps.driving import replay
 
-    watched, said = sys.stderr.isatty(), -1
+    watched, said, kept = sys.stderr.isatty(), -1, time.monotonic()
 
     def on_progress(done: float, whole: float) -> None:
-        nonlocal said
+        nonlocal said, kept
+        if time.monotonic() - kept > _KEPT_S:
+            unfinished.add()
+            kept = time.monotonic()
         if watched and (percent := int(100 * done / whole)) > said:
             said = percent
             print(f"\rdriven {done:.0f} of {whole:.0f} s", end="", file=sys.stderr, flush=True)
@@ -102,15 +111,23 @@ def replay_table(session: "Session", table: "Mapping[str, np.ndarray]") -> None:
         print(file=sys.stderr)
 
 
-def serve(session: "Session", camera: "TipCamera", *, host: str, port: int, browser: bool) -> None:
+def serve(
+    session: "Session",
+    camera: "TipCamera",
+    unfinished: "Unfinished",
+    *,
+    host: str,
+    port: int,
+    browser: bool,
+) -> None:
     """Serve the page until Ctrl-C."""
     from ..apps.driving import Cockpit
 
     cockpit = Cockpit(session, camera, host=host, port=port)
     try:
         say_served(cockpit, "drives the arm", "ends the drive and saves it", browser=browser)
-        while not cockpit.wait(1.0):
-            pass
+        while not cockpit.wait(_KEPT_S):
+            unfinished.add()
         raise InputError(cockpit.error or "the drive is over")
     except KeyboardInterrupt:
         typer.echo("\nsaving the drive")
@@ -118,7 +135,15 @@ def serve(session: "Session", camera: "TipCamera", *, host: str, port: int, brow
         cockpit.close()
 
 
-def save(session: "Session", out: Path, channels: list[str], *, force: bool, **how: Any) -> None:
+def save(
+    session: "Session",
+    unfinished: "Unfinished",
+    out: Path,
+    channels: list[str],
+    *,
+    force: bool,
+    **how: Any,
+) -> None:
     """Write the drive, and say what is in it; one in which nothing was moved is not written.
 
     `how` is as of `giajax.apps.driving.Record.run`.
@@ -127,10 +152,19 @@ def save(session: "Session", out: Path, channels: list[str], *, force: bool, **h
         run = session.record.run(channels, name=out.stem, **how)
     except InputError as error:
         typer.echo(f"giajax: {error}", err=True)
+        unfinished.remove()
         return
+    if unfinished.error:
+        typer.echo(f"giajax: {unfinished.error}, which a kill would have left", err=True)
     write_and_say(out, run, 12, force, f"{session.time:.1f} s driven, ")
+    unfinished.remove()
     if session.lost:
         typer.echo(f"the simulation was {session.lost:.1f} s behind the clock, which were left out")
+
+
+def _files(out: Path) -> tuple[Path, Path, Path]:
+    """The files of a drive: its run, the sidecar, and what is there of it until it is saved."""
+    return out, out.with_suffix(".toml"), out.with_name(f"{out.stem}-unfinished.csv")
 
 
 @command("""\b
@@ -191,8 +225,10 @@ def drive(
     section = noise_section(noise, "--noise")
     if out is None:
         names = (Path(f"drive-{number}.csv") for number in itertools.count(1))
-        out = next(n for n in names if not (n.exists() or n.with_suffix(".toml").exists()))
+        out = next(n for n in names if not any(map(os.path.lexists, _files(n))))
     check_output_run(out, force=force)
+    part = _files(out)[-1]
+    check_output_run(part, force=force)
     values = settings(pairs)
     if what is not None and not what.exists():
         raise InputError(f"{what} does not exist: give the folder of a fit, or the file of an arm")
@@ -200,7 +236,15 @@ def drive(
     import numpy as np
 
     from ..apps.control import compensator_for_model
-    from ..apps.driving import Compensation, PadMapping, Session, TipCamera, check_length, read_pad
+    from ..apps.driving import (
+        Compensation,
+        PadMapping,
+        Session,
+        TipCamera,
+        Unfinished,
+        check_length,
+        read_pad,
+    )
     from ..fitting import load_result
 
     table = None if replay is None else read_pad(replay)
@@ -224,15 +268,16 @@ def drive(
     )
     if table is not None:
         check_length(float(np.ptp(table["time_s"])), session.interval)
+    unfinished = Unfinished(session.record, part, origin=origin(context))
     try:
         if table is not None:
-            replay_table(session, table)
+            replay_table(session, table, unfinished)
         else:
             camera = TipCamera(model, latency)
-            serve(session, camera, host=host, port=port, browser=browser)
+            serve(session, camera, unfinished, host=host, port=port, browser=browser)
     finally:
         save(
-            session, out, recorded,
+            session, unfinished, out, recorded,
             noise=section, every=every, seed=seed, origin=origin(context), force=force,
         )  # fmt: skip
 

@@ -1,5 +1,6 @@
 """`giajax fit` and `sweep`: parameters of a model from recordings of it, once or many times."""
 
+import contextlib
 import dataclasses
 import os
 import shlex
@@ -7,7 +8,7 @@ import shutil
 import statistics
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict, Unpack, cast
@@ -191,6 +192,7 @@ def write_or_print(result: "FitResult", runs: "Sequence[Run]", folder: Path) -> 
     """Write a result; where that cannot be (a full disk), it goes to standard output.
 
     Where that cannot take it either, such as a file on the same disk, it goes to standard error.
+    What cannot be written beside `result.json` is only said.
     """
     from ..report import write_result
 
@@ -201,15 +203,27 @@ def write_or_print(result: "FitResult", runs: "Sequence[Run]", folder: Path) -> 
         except KeyboardInterrupt:  # once more, because this is what the fit was for
             write()
             raise
-    except InputError:
+    except InputError as error:
+        path, text = folder / "result.json", result.to_json()
+        with contextlib.suppress(OSError):
+            if path.read_text(encoding="utf-8") == text:
+                _complain(f"the result is written, but {error}")
+                return [path]
         for stream in (sys.stdout, sys.stderr):
-            try:
-                print(result.to_json(), end="", file=stream, flush=True)
-            except OSError:
-                continue
-            break
+            print(text, end="", file=stream, flush=True)
+            if getattr(stream, "error", None) is None:
+                break
         typer.echo("the fit is above, because its files could not all be written:", err=True)
         raise
+
+
+@contextlib.contextmanager
+def _beside_result() -> Iterator[None]:
+    """What is written beside `result.json`: where that cannot be, as on a full disk, it is said."""
+    try:
+        yield
+    except InputError as error:
+        _complain(f"the result is written, but {error}")
 
 
 def show_result(result: "FitResult", definition: "Definition") -> None:
@@ -354,14 +368,16 @@ def run_fit(
         show_diagnosis(asked)
     # What a person waits for is there; drawing takes a second or two.
     if figures:
-        files += write_figures(asked, ready.runs, task.out, held_out=ready.held_out_runs)
+        with _beside_result():
+            files += write_figures(asked, ready.runs, task.out, held_out=ready.held_out_runs)
     if self_test:
         files += repeated_fit(result, ready.runs, task.out, shown=shown)
     if report:
-        source, held_out = task.out / "result.json", ready.held_out_runs
-        page = report_page(asked, ready.runs, held_out=held_out, source=source)
-        write_files({task.out / PAGE: page}, force=True)
-        files.append(task.out / PAGE)
+        with _beside_result():
+            source, held_out = task.out / "result.json", ready.held_out_runs
+            page = report_page(asked, ready.runs, held_out=held_out, source=source)
+            write_files({task.out / PAGE: page}, force=True)
+            files.append(task.out / PAGE)
     if shown:
         say_written(files[0].parent, [path.name for path in files])
         if goes_on:
@@ -514,8 +530,9 @@ The table and the summary go to standard output, progress to standard error.
 \b
 Exit status: 0 converged; 1 ended without convergence (the result is
 written and says so); 2 bad input or usage; 3 with --strict, where the model
-does not describe the data or is doubtful; 130 interrupted, 143 by SIGTERM
-(the best point so far is written). A second Ctrl-C ends at once.
+does not describe the data or is doubtful; 4 something else went wrong; 130
+interrupted, 143 by SIGTERM, 129 by a terminal that hangs up (the best point
+so far is written). A second Ctrl-C ends at once.
 
 \b
 While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the

@@ -104,8 +104,10 @@ def sections(result: FitResult, source: Path | None) -> list[PageSection]:
     for view in sorted(_VIEWS.values(), key=lambda view: view.place):
         try:
             record = view.record.of_json(read_bytes(source.parent / view.record.file, RESULT_BYTES))
+            if record.is_of(result):
+                found.append(view.section(record, result, source.parent))
         except (OSError, InputError):
             continue
-        if record.is_of(result):
-            found.append(view.section(record, result, source.parent))
+        except (LookupError, TypeError, ValueError, ArithmeticError):  # its numbers do not agree
+            continue
     return found

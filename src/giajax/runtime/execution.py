@@ -25,7 +25,7 @@ from typing import Any, Literal, TypedDict, TypeVar
 
 from .files import check_path
 from .plugins import load_plugin, plugins
-from .process import CORES_VARIABLE, configure, is_own_process, is_stopped, own_process
+from .process import CORES_VARIABLE, HANGUP, configure, is_own_process, is_stopped, own_process
 from .records import plain_data
 from .tasks import Outcome, Task, read_outcome, write_outcome
 from .text import InputError, abridged, error_in_words
@@ -106,8 +106,9 @@ def begin_process(own: bool, alive: Connection, added: Mapping[Path, str]) -> No
 
     That is closed where the parent is killed, too. Plug-ins are those of the parent.
     """
-    # Ctrl-C goes to all processes of a terminal: the parent says what becomes of the others.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # What a terminal sends goes to all its processes: the parent says what becomes of the others.
+    for number in {signal.SIGINT, HANGUP} - {signal.SIGTERM}:
+        signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(alive,), daemon=True).start()
     get_ready(own)
     for path, digest in added.items():

@@ -31,6 +31,7 @@ def check_path(path: str | Path) -> None:
     """
     try:
         names = [os.fsencode(name) for name in Path(path).parts]
+        b"".join(names).decode()
         if any(len(name) > NAME_BYTES for name in names):
             longest = max(names, key=len).decode(errors="replace")
             raise InputError(
@@ -44,6 +45,10 @@ def check_path(path: str | Path) -> None:
         raise InputError(f"{path} cannot be used ({error.strerror}): give another path") from None
     except InputError:
         raise
+    except UnicodeDecodeError:
+        raise InputError(
+            f"the path {shown(str(path))} is not UTF-8, which files that name it are: rename it"
+        ) from None
     except ValueError:
         raise InputError(
             f"the path {shown(str(path))} has a character that no path may have: correct it"

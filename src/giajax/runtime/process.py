@@ -16,13 +16,16 @@ from typing import Any, ParamSpec, TypeVar
 
 from .text import InputError
 
-# What Ctrl-C and SIGTERM do to a command: the first one stops it, a second one ends it at once.
+# What Ctrl-C, SIGTERM and SIGHUP do to a command: the first one stops it, a second one ends it.
 #
 # A signal that stops raises `KeyboardInterrupt`, after which a fit keeps the best so far. Python
 # raises it only between two steps of its own, and compiling is one step: a thread waits for the
 # second signal, which no step can hold up.
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# A terminal that is closed hangs up; Windows has no such signal.
+HANGUP = getattr(signal, "SIGHUP", signal.SIGTERM)
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, HANGUP)
 
 _ONE_STROKE_S = 0.3  # some programs pass on to a child a signal that its terminal sends to both
 
@@ -57,7 +60,7 @@ def stop_if_asked(_: Any = None) -> None:
 
 
 def stopped_status() -> int:
-    """Exit status of a command that was stopped: 130 after Ctrl-C, 143 after SIGTERM."""
+    """Exit status of a command that was stopped: 130 by Ctrl-C, 143 by SIGTERM, 129 by SIGHUP."""
     return 128 + (signal.SIGINT if _first is None else _first)
 
 

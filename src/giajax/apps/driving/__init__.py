@@ -22,6 +22,7 @@ from ._session import (
     Pose as Pose,
     Record as Record,
     Session as Session,
+    Unfinished as Unfinished,
     check_length as check_length,
     read_pad as read_pad,
     replay as replay,

@@ -1,5 +1,7 @@
 """An arm that is driven: commands from an operator, steps in time with a clock, and a record."""
 
+import contextlib
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,7 +14,7 @@ import numpy as np
 
 from ...mechanics.hysteresis import AbstractOperator
 from ...models import ArmModel, Channels, recorded_channels
-from ...recordings import Run, read_numbers
+from ...recordings import Channel, Run, read_numbers, sidecar_path, write_files
 from ...runtime.arrays import Array, Float
 from ...runtime.limits import POSES, STEPS
 from ...runtime.programs import program
@@ -98,6 +100,13 @@ class Record:
         """One row: of all joints commands (rad), angles (rad) and rates (rad/s); wind (m/s)."""
         self._rows.append((time, command, state, wind))
 
+    def rows(self, first: int = 0) -> list[list[float]]:
+        """Time, commands, angles, rates and wind of each row from the first on, SI."""
+        return [
+            [float(time), *command.tolist(), *state.ravel().tolist(), *wind.tolist()]
+            for time, command, state, wind in self._rows[first:]
+        ]
+
     def _column(self, at: int) -> np.ndarray:
         return np.asarray([row[at] for row in self._rows])
 
@@ -165,6 +174,57 @@ class Record:
             return run
         white = {channel: deviation for channel in seen if (deviation := run.noise(channel))}
         return with_errors(run, RecordingErrors(white=white), seed=seed)
+
+
+class Unfinished:
+    """A drive while it goes on, as a run in a file of its own, which outlives the process.
+
+    Its columns are commands, angles and rates of all joints, and the wind; its sidecar is that of
+    the arm. Nothing is left of it but by `remove`.
+
+    Arguments:
+        record: of the drive, which has its first row.
+        path: of the file, which ends in `.csv` and is written over.
+        origin: what the sidecar says of where it is from.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+
+    def __init__(self, record: Record, path: Path, *, origin: str = "") -> None:
+        self.record, self.path = record, path
+        self._rows = 0
+        self.error = ""
+        joints = [f"joint{joint:02d}" for joint in range(1, record.model.arm.count + 1)]
+        names = [f"{joint}_{what}" for what in ("command", "angle", "rate") for joint in joints]
+        columns = [Channel.named(name).column for name in (*names, *_WIND)]
+        values = dict.fromkeys((*names, *_WIND), np.zeros(2))
+        definition = driven_run(
+            record.model, np.arange(2.0), values, name=path.stem, origin=origin
+        ).definition
+        header = ",".join(["time_s", *columns]) + "\n"
+        contents = {path: header, sidecar_path(path): definition.to_toml()}
+        write_files({where: text.encode() for where, text in contents.items()}, force=True)
+
+    def add(self) -> None:
+        """Write what was driven since; where that cannot be, `error` says so, and it has ended."""
+        if self.error:
+            return
+        rows = self.record.rows(self._rows)
+        self._rows += len(rows)
+        try:
+            with self.path.open("ab") as file:
+                file.write("".join(",".join(map(repr, row)) + "\n" for row in rows).encode())
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            self.error = f"{self.path} cannot be written ({error.strerror})"
+
+    def remove(self) -> None:
+        """Remove it, whose drive was saved."""
+        for path in (self.path, sidecar_path(self.path)):
+            with contextlib.suppress(OSError):
+                path.unlink()
 
 
 @program
