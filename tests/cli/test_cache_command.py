@@ -1,8 +1,13 @@
 """`giajax cache`: what is kept, and its end."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 from giajax.cli import main
+from giajax.runtime import process
 
 pytestmark = pytest.mark.quick
 
@@ -45,3 +50,66 @@ def test_there_may_be_none(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert main(["cache"]) == 0
     assert "nothing is kept" in capsys.readouterr().out
+
+
+CONFIGURE = (
+    "import os, sys; os.umask(0o022); import giajax.runtime.process as p; p.own_process(); "
+    "p.configure(); import jax; from giajax.runtime.programs import caches_programs; "
+    "print(jax.config.jax_compilation_cache_dir, caches_programs())"
+)
+
+
+def configured(**variables):
+    """What a process of the command line says of its cache, and its complaints."""
+    environment = {**os.environ, **{name: str(value) for name, value in variables.items()}}
+    if "XDG_CACHE_HOME" in variables:
+        environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-c", CONFIGURE], capture_output=True, text=True, check=True,
+        env=environment,
+    )  # fmt: skip
+    return done.stdout.split(), done.stderr
+
+
+@pytest.mark.skipif(os.name != "posix", reason="of POSIX permissions")
+@pytest.mark.parametrize("variable", ["XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR"])
+def test_a_folder_of_programs_is_this_accounts_own(tmp_path, variable):
+    home = tmp_path / "caches"
+    folder = home / "giajax" if variable == "XDG_CACHE_HOME" else home
+    assert configured(**{variable: home}) == ([str(folder), "True"], "")
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert process.is_private(folder)
+    folder.chmod(0o755)  # as an earlier version made it
+    assert process.is_private(folder)
+    wrong = folder
+    if variable == "XDG_CACHE_HOME":
+        wrong = folder / "programs"
+        wrong.mkdir()
+    for mode in (0o777, 0o775, 0o1777):
+        wrong.chmod(mode)
+        assert not process.is_private(wrong)
+    found, said = configured(**{variable: home})
+    assert found == ["None", "False"]
+    assert said.startswith(f"giajax: {wrong} can be written by others, or belongs to another")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.skipif(getattr(os, "geteuid", lambda: 1)() != 0, reason="only root gives files away")
+def test_a_folder_of_another_account_is_not_used(tmp_path):
+    os.chown(tmp_path, 12345, -1)
+    found, said = configured(JAX_COMPILATION_CACHE_DIR=tmp_path)
+    assert found == ["None", "False"]
+    assert "belongs to another" in said
+
+
+def test_a_damaged_cache_is_one_sentence(monkeypatch, capsys):
+    shown = []
+    monkeypatch.setattr("giajax.runtime.process._own_process", True)
+    show = process._say_of_cache(lambda *given: shown.append(given))
+    for name in ("jit_one", "jit_two"):
+        sentence = f"Error reading persistent compilation cache entry for '{name}': ZstdError: no"
+        show(UserWarning(sentence), UserWarning, "compiler.py", 782)
+    show(UserWarning("something else"), UserWarning, "file.py", 1)
+    err = capsys.readouterr().err
+    assert (len(shown), err.count("\n")) == (1, 1)
+    assert "cannot be read or written (ZstdError: no), and are compiled anew" in err

@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 
 from giajax import InputError
-from giajax.runtime.files import read_bytes
+from giajax.runtime.execution import run_tasks
+from giajax.runtime.files import part_of, read_bytes
+from giajax.runtime.tasks import Task
+from giajax.tasks import locked
 
 pytestmark = pytest.mark.quick
 
@@ -33,3 +36,25 @@ def test_a_file_that_says_no_size_is_not_read_to_its_end():
     """Those of the system have the size 0, and any content."""
     with pytest.raises(InputError, match="has 101 bytes, but may have 100 at most"):
         read_bytes(Path("/proc/self/maps"), 100)
+
+
+def test_what_a_killed_writer_left_is_removed_with_the_next_task_or_fit(tmp_path):
+    """But not what is being written, nor what nobody of giajax has named."""
+
+    def leave(folder):
+        names = {"old": part_of(folder / "a"), "new": part_of(folder / "b")}
+        names["other"] = folder / ".mine.part"
+        for path in names.values():
+            path.write_bytes(b"torn")
+        for name in ("old", "other"):
+            os.utime(names[name], (0, 0))
+        return names
+
+    left = {}
+    for folder in (tmp_path / "tasks", tmp_path / "fit"):
+        folder.mkdir()
+        left |= {folder.name: leave(folder)}
+    run_tasks([Task("os:getcwd")], folder=tmp_path / "tasks")
+    with locked(tmp_path / "fit"):
+        for names in left.values():
+            assert {name for name, path in names.items() if path.exists()} == {"new", "other"}

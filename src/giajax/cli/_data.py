@@ -365,7 +365,8 @@ def cache(clear: Annotated[bool, "Remove what is there."] = False) -> None:
     Each command finds those of its model and its data there. A file that is of another version of
     giajax, or was damaged, is not used; none is ever removed but by --clear. The folder is giajax
     in the user's cache directory, or what JAX_COMPILATION_CACHE_DIR says: of that, only what
-    giajax alone wrote is removed.
+    giajax alone wrote is removed. A folder that others can write, or that belongs to another
+    account, is not used: programs from there may do anything.
     """
     from ..runtime.process import PROGRAMS, compilation_cache
     from ..runtime.programs import SUFFIX

@@ -5,7 +5,6 @@ import hashlib
 import itertools
 import os
 import re
-import secrets
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..runtime.files import check_path
+from ..runtime.files import check_path, part_of
 from ..runtime.text import InputError
 from ..schema import InitialSection
 from ._channels import Channel, Naming, infer_model, match_name, order
@@ -433,9 +432,7 @@ def write_files(contents: Mapping[Path, bytes], *, force: bool) -> None:
     temporary: dict[Path, Path] = {}
     try:
         for path, data in contents.items():
-            # Not guessable, short where the name is long, and opened only if it is not there:
-            # nobody can have put a link in its way.
-            part = path.with_name(f".{secrets.token_hex(16)}.part")
+            part = part_of(path)
             with part.open("xb") as file:
                 temporary[path] = part
                 file.write(data)

@@ -23,7 +23,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal, TypedDict, TypeVar
 
-from .files import check_path
+from .files import check_path, remove_stale_parts
 from .plugins import load_plugin, plugins
 from .process import CORES_VARIABLE, HANGUP, configure, is_own_process, is_stopped, own_process
 from .records import plain_data
@@ -318,6 +318,7 @@ def run_tasks(
     if folder is not None:
         folder = Path(folder).absolute()
         check_path(folder)
+        remove_stale_parts(folder)
     study = _Study(executor or InProcess(), folder, progress, {task.key: task for task in tasks})
     try:
         study.run()

@@ -6,6 +6,7 @@ import os
 import re
 import secrets
 import stat
+import time
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -110,12 +111,33 @@ def keep(path: Path, data: bytes) -> None:
         ) from None
 
 
+def part_of(path: Path) -> Path:
+    """Where a file is written, beside its place, before it is moved there.
+
+    Not guessable, short where the name is long, and to be opened only if it is not there: nobody
+    can have put a link in its way.
+    """
+    return path.with_name(f".{secrets.token_hex(16)}.part")
+
+
+_PART = re.compile(r"\.[0-9a-f]{32}\.part")
+_STALE_S = 60.0  # a writer that lives adds to its file sooner, or has moved it
+
+
+def remove_stale_parts(folder: Path) -> None:
+    """Remove from a folder what writers that were killed left unfinished."""
+    for path in folder.glob(".*.part"):
+        with contextlib.suppress(OSError):
+            if _PART.fullmatch(path.name) and time.time() - path.lstat().st_mtime > _STALE_S:
+                path.unlink()
+
+
 def write_durably(path: Path, data: bytes) -> None:
     """Write a file whole or not at all, and have it on the disk before this returns.
 
     Several processes may write the same one: the last is there, whole. Its folder must be there.
     """
-    part = path.with_name(f".{secrets.token_hex(16)}.part")
+    part = part_of(path)
     try:
         with part.open("xb") as file:
             file.write(data)

@@ -5,10 +5,14 @@ import contextvars
 import functools
 import importlib
 import math
+import multiprocessing
 import os
 import signal
+import stat
+import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
@@ -121,19 +125,66 @@ def configure() -> None:
 
     jax.config.update("jax_enable_x64", True)
     directory, stated = compilation_cache()
+    if _own_process:
+        warnings.showwarning = _say_of_cache(warnings.showwarning)
     if directory is None:
         return
     # JAX itself may keep what it compiles at an address of a network.
-    if _own_process and "://" not in os.environ.get("JAX_COMPILATION_CACHE_DIR", ""):
-        from .programs import cache_programs
+    if "://" not in os.environ.get("JAX_COMPILATION_CACHE_DIR", ""):
+        with contextlib.suppress(OSError):
+            directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        for folder in (directory, directory / PROGRAMS):
+            if folder.exists() and not is_private(folder):
+                jax.config.update("jax_compilation_cache_dir", None)
+                _note(
+                    f"{folder} can be written by others, or belongs to another, so that programs "
+                    "from there may do anything: none is used or kept there; chmod go-w it, or "
+                    "set JAX_COMPILATION_CACHE_DIR to another folder"
+                )
+                return
+        if _own_process:
+            from .programs import cache_programs
 
-        cache_programs(directory / PROGRAMS)
+            cache_programs(directory / PROGRAMS)
     if stated:
         return
     jax.config.update("jax_compilation_cache_dir", str(directory))
     # JAX's own threshold of a second leaves out most of what a short command compiles.
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_SECONDS)
+
+
+def is_private(folder: Path) -> bool:
+    """Whether nobody else can write into a folder, which is there."""
+    if not hasattr(os, "geteuid"):
+        return True
+    state = folder.stat()
+    return state.st_uid == os.geteuid() and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def _note(sentence: str) -> None:
+    """Say something on standard error, where this process is the command line's own."""
+    if _own_process and multiprocessing.parent_process() is None:
+        print(f"giajax: {sentence}", file=sys.stderr)
+
+
+def _say_of_cache(show: Callable[..., None]) -> Callable[..., None]:
+    """What shows warnings, but those of JAX about its cache: a sentence in place of all of them."""
+    said = False
+
+    def shown(message: Warning | str, *how: Any, **named: Any) -> None:
+        nonlocal said
+        if "persistent compilation cache" not in str(message):
+            show(message, *how, **named)
+        elif not said:
+            said = True
+            why = " ".join(str(message).partition(": ")[2].split())
+            _note(
+                f"compiled programs in {compilation_cache()[0]} cannot be read or written ({why}), "
+                "and are compiled anew: see giajax cache"
+            )
+
+    return shown
 
 
 def compilation_cache() -> tuple[Path | None, bool]:
@@ -151,7 +202,7 @@ def cache_directory() -> Path | None:
         # A relative XDG_CACHE_HOME is to be ignored, by the XDG specification.
         parent = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
         directory = parent / "giajax"
-        directory.mkdir(parents=True, exist_ok=True)
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     except (OSError, RuntimeError):
         return None
     return directory if os.access(directory, os.W_OK | os.X_OK) else None

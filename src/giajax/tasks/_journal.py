@@ -26,7 +26,7 @@ from ..recordings import (
     make_folder,
     sidecar_path,
 )
-from ..runtime.files import read_bytes
+from ..runtime.files import read_bytes, remove_stale_parts
 from ..runtime.limits import JOURNAL_BYTES, RUN_BYTES
 from ..runtime.plugins import SUM
 from ..runtime.records import from_plain
@@ -204,6 +204,7 @@ def locked(folder: Path) -> Iterator[None]:
     path = make_folder(folder) / LOCK
     try:
         descriptor = _taken(path)
+        remove_stale_parts(folder)
         try:
             yield
         finally:

@@ -1,0 +1,182 @@
+"""Studies that are killed (`kill -9`) at any moment: the same command goes on to the same numbers.
+
+Of each kind the smallest one, slowed down so that moments differ; a design begins anew, and a drive
+leaves what was driven. `long` are 30 moments of each, and `slow` two.
+"""
+
+import contextlib
+import io
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from giajax.cli import main
+
+ROOT = Path(__file__).resolve().parents[1]
+EARLIER = ROOT / "tests" / "earlier"
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+
+# Command, and what it writes first.
+STUDIES = {
+    "fit": ("fit run_fit.toml --out out --no-figures --no-suspects", "out"),
+    "sweep": ("sweep plan.toml --out out", "out"),
+    "bootstrap": ("bootstrap fit --size 6 --folder tasks --no-figures --force", "tasks"),
+    "profile": ("profile fit --folder tasks --no-figures", "tasks"),
+    "posterior": ("posterior fit --chains 3 --draws 8 --warmup 4 --out out --force", "out"),
+    "design": (
+        "design arm.toml --for air.drag_coefficient --out out --force --duration 0.5 --rate 8"
+        " --channels tip",
+        "nothing",
+    ),
+    "drive": ("drive arm.toml --replay pad.csv --out run-2.csv --force", "run-2-unfinished.csv"),
+}
+SLOWLY = """
+import sys, time
+import giajax.runtime.files as files, giajax.apps.driving as driving, giajax.tasks as tasks
+def slow(holder, name, seconds):
+    function = getattr(holder, name)
+    def call(*given, **named):
+        time.sleep(seconds)
+        found = function(*given, **named)
+        time.sleep(seconds)
+        return found
+    setattr(holder, name, call)
+slow(files, "write_durably", 0.1)
+slow(tasks.Journal, "_write", 0.1)
+slow(driving.Session, "advance", 1 / 60)
+print("begun", flush=True)
+from giajax.__main__ import main
+sys.exit(main())
+"""
+
+
+def make(folder, name):
+    """A folder with what a study begins with."""
+    of = {"sweep": "studies/sweep", "fit": "studies/journal"}.get(name, "studies/profile")
+    shutil.copytree(EARLIER / of, folder, ignore=shutil.ignore_patterns("half", "whole"))
+    (folder / "arm.toml").write_text('[arm]\npreset = "takeichi_20m"\nlinks = 2\n')
+    (folder / "pad.csv").write_text("time_s,axis0,axis1\n0,0,-1\n2,0.5,0.5\n6,0,0\n")
+
+
+def do(words):
+    """Do a command in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main(words.split())
+    assert status == 0, (words, status, err.getvalue())
+
+
+def go_on(name):
+    """What a person does whose study was killed."""
+    words, _ = STUDIES[name]
+    if name == "fit" and Path("out/journal.jsonl").exists():
+        words = "fit --resume out --no-figures --no-suspects"
+        # Killed before its first state, it has nothing to go on with.
+        if Path("out/journal.jsonl").read_bytes().count(b"\n") < 2:
+            words = STUDIES[name][0]
+    do(words)
+
+
+def without_times(data):
+    """Plain data without how long it took, and where."""
+    if isinstance(data, dict):
+        own = ("seconds", "worker", "task", "path")
+        return {key: without_times(one) for key, one in data.items() if key not in own}
+    return [without_times(one) for one in data] if isinstance(data, list) else data
+
+
+def numbers(name):
+    """All numbers that a study has written."""
+    files = sorted([*Path("out").glob("*"), *Path("fit").glob("*"), *Path().glob("run-2*")])
+    found = {}
+    for path in files:
+        if path.suffix == ".json":
+            found[str(path)] = without_times(json.loads(path.read_text()))
+        elif path.suffix == ".parquet":
+            table = pl.read_parquet(path)
+            found[str(path)] = repr(table.drop(pl.selectors.contains("second", "worker")).rows())
+        elif path.suffix == ".csv" and name != "fit":
+            found[str(path)] = path.read_bytes()
+    assert found
+    return found
+
+
+def rows_of(path):
+    return path.read_bytes().splitlines() if path.exists() else []
+
+
+@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize(
+    "moments",
+    [pytest.param(2, marks=pytest.mark.slow), pytest.param(30, marks=pytest.mark.long)],
+)
+def test_a_study_that_is_killed_goes_on(tmp_path, monkeypatch, name, moments):
+    words, first = STUDIES[name]
+    rng = random.Random(f"{name} {moments}")
+    home = tmp_path / "undisturbed"
+    make(home, name)
+    monkeypatch.chdir(home)
+    do(words)
+    before = numbers(name)
+    began, left, early = None, 0, 0
+    for moment in range(-1, moments):
+        folder = tmp_path / str(moment)
+        make(folder, name)
+        monkeypatch.chdir(folder)
+        running = subprocess.Popen(
+            [sys.executable, "-c", SLOWLY, *words.split()],
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        assert running.stdout is not None
+        while b"begun" not in running.stdout.readline():
+            pass
+        start = time.monotonic()
+        while first != "nothing" and not os.path.lexists(first) and running.poll() is None:
+            time.sleep(0.01)
+        if moment < 0:  # how long it takes
+            appeared = time.monotonic() - start
+            running.communicate()
+            began = (appeared, time.monotonic() - start)
+            assert running.returncode == 0
+            assert numbers(name) == before
+            continue
+        assert began is not None
+        time.sleep(rng.uniform(0, began[1] - began[0]))
+        rows = len(rows_of(Path(first))) if name == "drive" else 0
+        running.kill()
+        running.communicate()
+        early += running.returncode == -9
+        if name == "drive":
+            check_drive(home, Path(first), rows)
+        left += any(Path().glob("out/*")) or any(Path().glob("tasks/*"))
+        go_on(name)
+        assert numbers(name) == before, f"moment {moment}"
+        assert not list(Path().rglob("*.part")), f"moment {moment}"
+        shutil.rmtree(folder)
+    # Most were killed before they ended.
+    print(f"{name}: {moments} moments, {early} killed before the end, {left} with something kept")
+    assert early >= moments / 2
+
+
+def check_drive(home, path, rows):
+    """What a killed drive left are the first rows of the whole one, whole."""
+    found = rows_of(path)
+    if not found:  # killed once all was saved
+        assert Path("run-2.csv").read_bytes() == (home / "run-2.csv").read_bytes()
+        return
+    assert len(found) >= rows
+    whole = pl.read_csv(home / "run-2.csv")
+    here = pl.read_csv(path)
+    assert here.width == 1 + 3 * 2 + 3
+    command = here["joint01_command_rad"].to_numpy()
+    expected = whole["joint01_command_deg"].to_numpy()[: len(command)] * (3.141592653589793 / 180)
+    assert len(command) <= len(whole)
+    assert abs(command - expected).max(initial=0) < 1e-10
