@@ -15,7 +15,8 @@ from giajax.cli import main
 from small_arm import STARTS, make_run
 
 RENAMED = {"t": "time_s", "first": "joint01_command_deg", "high up": "link04_z_m"}
-HINT = re.compile(r"giajax ((?:fit|suspects|check|init|explain|profile|report|view) .*)")
+# Of what is to be typed; "giajax profile" within a sentence names a command.
+HINT = re.compile(r"(?:: |^ *|`)giajax ((?!\d)\w+ [^`]*)")
 
 
 @pytest.fixture
@@ -73,18 +74,61 @@ def test_the_hint_of_a_fit_that_needs_more_iterations_works(world, capsys):
     ran(capsys, *check)
 
 
+FIT = "out of it/fit"
+ON_A_RESULT = (
+    ["suspects", FIT],
+    ["influence", FIT, "--no-figures"],
+    ["profile", FIT, "joints.damping", "--no-figures"],
+    ["bootstrap", FIT, "--size", "2", "--no-figures"],
+    ["posterior", FIT, "--chains", "1", "--draws", "8", "--warmup", "4"],
+    ["view", FIT, "--out", "page.html"],
+    ["report", FIT],
+    ["compare", FIT, FIT],
+    ["predict", "--model", FIT, "--data", "the run.csv", "--out", "a prediction.csv"],
+    ["design", FIT, "--for", "air.drag_coefficient", "--out", "a design", "--duration", "2",
+     "--rate", "5", "--knots", "3", "--starts", "1", "--follow", "1", "--iterations", "1",
+     "--draws", "1"],
+    ["sweep", "a plan.toml"],
+)  # fmt: skip
+# What makes a run, of whatever is there, and says how to go on.
+ON_A_RUN = (
+    ["simulate", "--links", "2", "--duration", "1", "--step", "1=5", "--out", "a new run.csv"],
+    ["import", "the run.csv", *options(), "--out", "an import.csv"],
+    ["check", "the run.csv", *options()],
+    ["init", "the run.csv", *options(), "--force"],
+)  # fmt: skip
+
+
 @pytest.mark.slow
-def test_studies_of_the_result_work(world, capsys):
-    fitted(capsys)
-    for command, *more in (
-        ["suspects"],
-        ["influence", "--no-figures"],
-        ["profile", "joints.damping", "--no-figures"],
-        ["bootstrap", "--size", "2", "--no-figures"],
-        ["posterior", "--chains", "1", "--draws", "8", "--warmup", "4"],
-        ["view", "--out", "page.html"],
-    ):
-        ran(capsys, command, "out of it/fit", *more)
+def test_every_hint_of_every_command_works(world, capsys):
+    """What is printed to be typed is typed, and so is what that prints."""
+    said = fitted(capsys, "--max-iterations", "3", "--no-suspects", status=1)
+    (resume,) = hints(said)
+    said += ran(capsys, *resume, "--no-figures", "--no-suspects")
+    (world / "a plan.toml").write_text(f'fit = "{FIT}"\n[grid]\nloss = ["linear", "huber"]\n')
+    for words in (*ON_A_RESULT, *ON_A_RUN):
+        said += ran(capsys, *words)
+    typed = [resume]
+    for _ in range(2):
+        new = [each for each in hints(said) if each not in typed]
+        typed += new
+        said = "".join(ran(capsys, *each) for each in new)
+    assert {each[0] for each in typed} >= {"fit", "check", "init"}
+
+
+@pytest.mark.slow
+def test_studies_of_windows_work_where_the_recording_has_moved(world, capsys, tmp_path):
+    """Of windows, each has a state of its own; the files lie in the folder of the result."""
+    sidecar = world / "the run.toml"
+    sidecar.write_text(sidecar.read_text() + "\n[initial]\nfirst_row = true\nfree = true\n")
+    fitted(capsys, "--window", "2", "--no-suspects")
+    for name in ("the run.csv", "the run.toml"):
+        shutil.move(world / name, world / "out of it" / name)
+    (world / "a plan.toml").write_text(f'fit = "{FIT}"\n[grid]\nloss = ["linear", "huber"]\n')
+    ran(capsys, "fit", "--again", FIT, "--no-figures", "--no-suspects")
+    for words in ON_A_RESULT:
+        if words[0] in ("influence", "report", "sweep"):
+            ran(capsys, *words)
 
 
 def test_a_result_is_asked_from_elsewhere_and_with_files_that_have_moved(

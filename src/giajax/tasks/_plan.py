@@ -287,7 +287,7 @@ class Plan:
         if "fit" in data:
             if not isinstance(data["fit"], str):
                 raise InputError(f"{source}: fit must be the name of a fit definition: correct it")
-            base = FitTask.load(folder / data["fit"])
+            base = _base(folder / data["fit"])
         else:
             Definition.parse({"fit": {"data": data["data"]}}, source)
             base = FitTask.of([folder / name for name in data["data"]])
@@ -344,6 +344,13 @@ class Plan:
         sidecar = functools.cache(_said)
         uncertain = functools.cache(_may_be_uncertain)
         return [_task(self.fit(case), checksums, sidecar, uncertain) for case in self.cases]
+
+
+def _base(path: Path) -> FitTask:
+    """The fit of a definition, or that of a result, by its file or folder, with other numbers."""
+    if path.suffix == ".json" or path.is_dir():
+        return dataclasses.replace(FitTask.again(path), resolved=None, earlier=None)
+    return FitTask.load(path)
 
 
 def _said(path: Path, rename: tuple[tuple[str, str], ...]) -> str:
