@@ -7,10 +7,10 @@ leaves what was driven. `long` are 30 moments of each, and `slow` two.
 import contextlib
 import io
 import json
+import multiprocessing
 import os
 import random
 import shutil
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -18,7 +18,11 @@ from pathlib import Path
 import polars as pl
 import pytest
 
+import giajax.__main__
+from giajax import tasks
+from giajax.apps import driving
 from giajax.cli import main
+from giajax.runtime import files
 
 ROOT = Path(__file__).resolve().parents[1]
 EARLIER = ROOT / "tests" / "earlier"
@@ -38,24 +42,34 @@ STUDIES = {
     ),
     "drive": ("drive arm.toml --replay pad.csv --out run-2.csv --force", "run-2-unfinished.csv"),
 }
-SLOWLY = """
-import sys, time
-import giajax.runtime.files as files, giajax.apps.driving as driving, giajax.tasks as tasks
-def slow(holder, name, seconds):
-    function = getattr(holder, name)
-    def call(*given, **named):
-        time.sleep(seconds)
-        found = function(*given, **named)
-        time.sleep(seconds)
-        return found
-    setattr(holder, name, call)
-slow(files, "write_durably", 0.1)
-slow(tasks.Journal, "_write", 0.1)
-slow(driving.Session, "advance", 1 / 60)
-print("begun", flush=True)
-from giajax.__main__ import main
-sys.exit(main())
-"""
+# A server that has imported everything forks a process for each moment: JAX has no threads yet.
+SERVER = multiprocessing.get_context("forkserver" if os.name == "posix" else None)
+if os.name == "posix":
+    SERVER.set_forkserver_preload(["giajax.cli", "giajax.studies", "giajax.apps.driving"])
+
+
+def child(folder, words):
+    """A command as a process of its own, slowed down where it writes."""
+
+    def slow(holder, name, seconds):
+        function = getattr(holder, name)
+
+        def call(*given, **named):
+            time.sleep(seconds)
+            found = function(*given, **named)
+            time.sleep(seconds)
+            return found
+
+        setattr(holder, name, call)
+
+    slow(files, "write_durably", 0.1)
+    slow(tasks.Journal, "_write", 0.1)
+    slow(driving.Session, "advance", 1 / 60)
+    os.chdir(folder)
+    with open(os.devnull, "w") as nothing:
+        sys.stdout = sys.stderr = nothing
+        sys.argv[1:] = words.split()
+        sys.exit(giajax.__main__.main())
 
 
 def make(folder, name):
@@ -95,9 +109,9 @@ def without_times(data):
 
 def numbers(name):
     """All numbers that a study has written."""
-    files = sorted([*Path("out").glob("*"), *Path("fit").glob("*"), *Path().glob("run-2*")])
+    written = sorted([*Path("out").glob("*"), *Path("fit").glob("*"), *Path().glob("run-2*")])
     found = {}
-    for path in files:
+    for path in written:
         if path.suffix == ".json":
             found[str(path)] = without_times(json.loads(path.read_text()))
         elif path.suffix == ".parquet":
@@ -131,29 +145,24 @@ def test_a_study_that_is_killed_goes_on(tmp_path, monkeypatch, name, moments):
         folder = tmp_path / str(moment)
         make(folder, name)
         monkeypatch.chdir(folder)
-        running = subprocess.Popen(
-            [sys.executable, "-c", SLOWLY, *words.split()],
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        assert running.stdout is not None
-        while b"begun" not in running.stdout.readline():
-            pass
+        running = SERVER.Process(target=child, args=(str(folder), words))
+        running.start()
         start = time.monotonic()
-        while first != "nothing" and not os.path.lexists(first) and running.poll() is None:
+        while first != "nothing" and not os.path.lexists(first) and running.is_alive():
             time.sleep(0.01)
         if moment < 0:  # how long it takes
             appeared = time.monotonic() - start
-            running.communicate()
+            running.join()
             began = (appeared, time.monotonic() - start)
-            assert running.returncode == 0
+            assert running.exitcode == 0
             assert numbers(name) == before
             continue
         assert began is not None
         time.sleep(rng.uniform(0, began[1] - began[0]))
         rows = len(rows_of(Path(first))) if name == "drive" else 0
         running.kill()
-        running.communicate()
-        early += running.returncode == -9
+        running.join()
+        early += running.exitcode == -9
         if name == "drive":
             check_drive(home, Path(first), rows)
         left += any(Path().glob("out/*")) or any(Path().glob("tasks/*"))

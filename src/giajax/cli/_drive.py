@@ -128,7 +128,7 @@ def serve(
         say_served(cockpit, "drives the arm", "ends the drive and saves it", browser=browser)
         while not cockpit.wait(_KEPT_S):
             unfinished.add()
-        raise InputError(cockpit.error or "the drive is over")
+        raise cockpit.failure or InputError(cockpit.error or "the drive is over")
     except KeyboardInterrupt:
         typer.echo("\nsaving the drive")
     finally:

@@ -170,11 +170,11 @@ def test_a_drive_that_breaks_off_is_over(cockpit, monkeypatch):
     """Whatever happens in its thread, whoever waits learns it."""
     with socket_of(cockpit) as page:
         told(page, "facts")
-        monkeypatch.setattr(threading, "excepthook", lambda _: None)
         monkeypatch.setattr(cockpit.session, "tick", lambda *_, **__: 1 / 0)
         assert "ZeroDivisionError" in told(page, "ended")["text"]
     assert cockpit.ended
     assert "the drive broke off" in cockpit.error
+    assert isinstance(cockpit.failure, ZeroDivisionError)
 
 
 def test_a_message_that_says_nothing_is_answered(cockpit):

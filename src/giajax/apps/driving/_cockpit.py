@@ -109,6 +109,7 @@ class Cockpit:
         self.session = session
         self.camera = camera
         self.error: str | None = None
+        self.failure: Exception | None = None
         # What pages said, with the time at which it came; the arm's own thread takes it in.
         self._inbox: deque[tuple[ServerConnection, dict[str, Any], float]] = deque()
         self._answers: deque[tuple[ServerConnection, str]] = deque()
@@ -182,8 +183,7 @@ class Cockpit:
             self.error = str(error)
         except Exception as error:
             # Whoever waits for the drive must learn that nothing moves any more.
-            self.error = f"the drive broke off: {error!r}"
-            raise
+            self.error, self.failure = f"the drive broke off: {error!r}", error
         finally:
             self._ended.set()
 
