@@ -33,6 +33,7 @@ from giajax.fitting import load_result
 from giajax.recordings import Definition, read_table
 from giajax.runtime.text import InputError
 from giajax.tasks import Plan
+from tests.recordings import test_bags, test_foreign
 
 ROOT = Path(__file__).resolve().parents[1]
 EARLIER = ROOT / "tests" / "earlier"
@@ -65,6 +66,26 @@ ROBOT = (
 )
 FAST = "--no-figures --force --quiet --max-iterations 1 --no-suspects"
 
+# Tables of other programs, and how each is imported.
+FOREIGN = {
+    "tracker.txt": "--unit cm --point elbow=link01",
+    "sleap.csv": "--rate 50 --point tip=tip",
+    "anipose.csv": "--rate 10 --unit mm --point tip-end=tip",
+    "motive.csv": "--point Arm:Tip=tip --from-time 0 --until 9",
+    "phyphox.csv": "--point Gyroscope=imu02",
+    "kinovea.txt": "--time-unit ms --origin 0,9 --point elbow=link01",
+    "columns.csv": "--rename t=time_s --rename tip=tip_z_mm --ignore note*",
+}
+TEXTS = {
+    "tracker.txt": test_foreign.TRACKER,
+    "sleap.csv": test_foreign.SLEAP,
+    "anipose.csv": test_foreign.ANIPOSE,
+    "motive.csv": test_foreign.MOTIVE,
+    "phyphox.csv": test_foreign.PHYPHOX,
+    "kinovea.txt": test_foreign.KINOVEA,
+    "columns.csv": test_foreign.COLUMNS.replace("z of tip", "tip"),
+}
+
 # Commands, and the files of each that are damaged.
 COMMANDS = {
     "check run.csv --json": ["run.csv", "run.toml"],
@@ -73,6 +94,12 @@ COMMANDS = {
     "import film.csv --rate 50 --point elbow=link03 --point end=tip --commands log.csv --out o.csv"
     " --force": ["film.csv", "log.csv"],
     "import tracks.csv --kinovea-origin 0,10 --point m=tip --out o.csv --force": ["tracks.csv"],
+    **{f"import {name} {how} --out o.csv --force": [name] for name, how in FOREIGN.items()},
+    "import bag.mcap --point /tip=tip --out o.csv --force": ["bag.mcap"],
+    "import bag --point /joint_states/elbow=joint02 --out o.csv --force": [
+        "bag/bag.db3",
+        "bag/metadata.yaml",
+    ],
     "parameters run.csv": ["run.csv", "run.toml"],
     "parameters --arm arm.toml": ["arm.toml"],
     f"fit run_fit.toml --out f {FAST}": ["run_fit.toml", "run.csv", "run.toml"],
@@ -156,8 +183,14 @@ def home(tmp_path_factory):
     }  # fmt: skip
     for sidecar in home.glob("*.toml"):  # else every damaged cell is known by the checksum
         sidecar.write_text(re.sub("sha256 = .*", "", sidecar.read_text()))
-    for name, text in texts.items():
+    for name, text in {**texts, **TEXTS}.items():
         (home / name).write_text(text, newline="")
+    for name, plugin in (
+        ("bag", test_bags.StoragePlugin.SQLITE3),
+        ("m", test_bags.StoragePlugin.MCAP),
+    ):
+        test_bags.write_bag(home, test_bags.TOPICS, name=name, plugin=plugin)
+    shutil.move(next((home / "m").glob("*.mcap")), home / "bag.mcap")
     with contextlib.chdir(home):
         words = "--no-figures --quiet"
         for command in (
@@ -268,7 +301,7 @@ def damage(path, rng):
             path.symlink_to("/dev/zero" if where == "zero" else "nowhere")
         elif where != "gone":
             path.write_bytes(b"" if where == "empty" else data.decode().encode("utf-16"))
-    elif how < (0.2 if kind == ".csv" else 0.4) or kind == ".xml":
+    elif how < (0.2 if kind == ".csv" else 0.4) or kind not in (".csv", ".toml", ".json", ".jsonl"):
         path.write_bytes(cut(data, rng))
     elif kind == ".csv":
         path.write_bytes(with_other_cells(data, rng))
@@ -277,7 +310,7 @@ def damage(path, rng):
         path.write_text("".join(f"{json.dumps(k)} = {toml(v)}\n" for k, v in table.items()))
     elif kind == ".json":
         path.write_text(json.dumps(changed(json.loads(data), rng)))
-    else:
+    elif kind == ".jsonl":
         lines = data.splitlines()
         row = rng.choice([row for row, line in enumerate(lines) if line.endswith(b"}")])
         lines[row] = json.dumps(changed(json.loads(lines[row]), rng)).encode()
@@ -397,7 +430,8 @@ def bounded():
         resource.setrlimit(resource.RLIMIT_AS, limits)
         signal.signal(signal.SIGPROF, before)
     (highest,) = re.findall(r"VmHWM:\s+(\d+) kB", STATUS.read_text())
-    assert 1024 * int(highest) - resident < MOST_BYTES
+    grown = 1024 * int(highest) - resident
+    assert grown < MOST_BYTES, f"it took {grown:,} bytes"
 
 
 def try_one(seed, home, folder, seconds):

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..runtime.files import check_path
+from ..runtime.files import check_kind, check_path, read_bytes
+from ..runtime.limits import RESULT_BYTES
 from ..runtime.text import InputError, tried
 from ._foreign import ForeignColumn, ForeignTable, ImportSettings, Numbers, placed, some
 
@@ -89,6 +90,11 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
     series: dict[tuple[str, str, str], dict[int, float]] = {}
     # Recorders of earlier distributions leave the definitions of the messages out.
     store = get_typestore(Stores.LATEST)
+    with tried(f"reading {path}"):  # which rosbags does, whatever they are
+        for part in path.iterdir() if path.is_dir() else (path,):
+            check_kind(part, part.stat().st_mode)
+            if part.suffix == ".yaml":
+                read_bytes(part, RESULT_BYTES)
     with tried(f"reading {path} with rosbags"), AnyReader([path], default_typestore=store) as bag:
         topics = [f"{each.topic} ({each.msgtype})" for each in bag.connections]
         known = [each for each in bag.connections if each.msgtype in _MESSAGES]

@@ -56,6 +56,13 @@ def check_path(path: str | Path) -> None:
         ) from None
 
 
+def check_kind(path: Path, mode: int) -> None:
+    """Refuse, by its mode, what has a name and no content that ends: a pipe, a device."""
+    device = _DEVICES.get(stat.S_IFMT(mode))
+    if device is not None:
+        raise InputError(f"{path} is {device}, but must be a file: write its content to one")
+
+
 def read_bytes(path: Path, most: int) -> bytes:
     """The content of a file of so many bytes at most, not of what never ends: a pipe, `/dev/zero`.
 
@@ -68,9 +75,7 @@ def read_bytes(path: Path, most: int) -> bytes:
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with open(handle, "rb") as file:
         state = os.fstat(handle)
-        device = _DEVICES.get(stat.S_IFMT(state.st_mode))
-        if device is not None:
-            raise InputError(f"{path} is {device}, but must be a file: write its content to one")
+        check_kind(path, state.st_mode)
         data = b"" if state.st_size > most else file.read(state.st_size + 1)
         if len(data) > state.st_size:  # a file that grows, or one of the system, which says no size
             data += file.read(most + 1 - len(data))
