@@ -221,8 +221,8 @@ def import_(
         ignore=ignore or (),
         flip=flip or (),
         offset=offset,
-        start=-np.inf if from_time is None else from_time,
-        stop=np.inf if until is None else until,
+        from_time=-np.inf if from_time is None else from_time,
+        until=np.inf if until is None else until,
     )
     table = read_foreign(file, how)
     values = channels_of(table, parse_rename(point or [], "--point"), camera, how)

@@ -32,7 +32,7 @@ class ImportSettings:
         only, ignore: patterns of names, in the file or of channels: these alone, and without these.
         flip: axes (`z`) or channels whose sign is changed.
         offset: added to the times, s.
-        start, stop: the first and last time that is kept, s, after that.
+        from_time, until: the first and last time that is kept, s, after that.
     """
 
     frame_rate: float | None = None
@@ -46,8 +46,8 @@ class ImportSettings:
     ignore: Sequence[str] = ()
     flip: Sequence[str] = ()
     offset: float = 0.0
-    start: float = -np.inf
-    stop: float = np.inf
+    from_time: float = -np.inf
+    until: float = np.inf
 
     def __post_init__(self) -> None:
         rate, units = self.frame_rate, {"time": self.time_unit, "length": self.unit}
@@ -241,17 +241,17 @@ def rows_kept(
         InputError: no row is kept, or there are no times to choose by.
     """
     if table.times is None:
-        if how.offset or np.isfinite(how.start) or np.isfinite(how.stop):
+        if how.offset or np.isfinite(how.from_time) or np.isfinite(how.until):
             raise InputError(
                 "the file has no times: give --frame-rate, the rows a second, or leave out "
                 "--offset, --from-time and --until"
             )
         return None, dict(values)
     times = table.times + how.offset
-    rows = (times >= how.start) & (times <= how.stop)
+    rows = (times >= how.from_time) & (times <= how.until)
     if not rows.any():
         raise InputError(
-            f"no row is between {how.start:g} and {how.stop:g} s: the file goes from "
+            f"no row is between {how.from_time:g} and {how.until:g} s: the file goes from "
             f"{times[0]:.6g} to {times[-1]:.6g} s, so correct --from-time and --until"
         )
     if table.merged:
