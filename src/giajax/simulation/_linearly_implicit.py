@@ -138,6 +138,9 @@ Carried = tuple[Bool[Array, ""], State]
 # Slopes of all stages, state and slope of the last one, and how far the worst is from its solution.
 Stages = tuple[Array, State, State, Scalar]
 
+# Of a stage: iterations, what the last one moved, what a next one would, and the rates.
+_Search = tuple[Array, Array, Array, Array]
+
 # The embedded method is so near to the method itself that its difference understates the error;
 # with these a tolerance means about the same error of an arm's motion as with Tsit5. The second is
 # that of further states, which have corners, and of all that moves among obstacles.
@@ -149,7 +152,7 @@ _CAUTION_AT_TURNS = 300.0
 
 # A stage is solved where a next iteration would move no joint by more, rad, or by more than
 # rounding. Where that is not so after as many, and it would move one far, the step is too long.
-_NEAR, _FAR, _MOST = 1e-9, 1e-6, 10
+_NEAR, _FAR, _MOST = 1e-8, 1e-6, 10
 _ROUNDING = 16
 
 # The error of a rate counts as the angle that it makes within a stage, or at least within a frame
@@ -269,34 +272,29 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             """A stage with what resists by the way of the joints, and how far off it is, rad."""
             stopped = jax.lax.stop_gradient(given)
 
-            def better(carried: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-                """A step of Newton's method and one more with its matrix: of the third order."""
-                count, _, before = carried
-                torque, damper = slope_at(before, stopped)
-                factor = factorised(damper)
-                first = solve(stopped[0], stopped[1] + torque, damper, factor)[1]
-                torque = resist(first, stopped) + damper * first
-                second = solve(stopped[0], stopped[1] + torque, damper, factor)[1]
-                moved, more = (
-                    jnp.max(jnp.abs(scale * (to - by)))
-                    for to, by in ((first, before), (second, first))
-                )
-                # Beyond a turn the matrix is another one. What a next step would move is less by as
-                # much again, at least.
-                closer = more < moved / 4
-                left = jnp.where(closer, more * more / jnp.where(closer, moved, 1), moved)
-                return count + 1, left, jnp.where(closer, second, first)
+            def better(carried: _Search) -> _Search:
+                count, before, _, rates = carried
+                torque, damper = slope_at(rates, stopped)
+                pulled = stopped[1] + torque
+                then = solve(stopped[0], pulled, damper, factorised(damper))[1]
+                moved = jnp.max(jnp.abs(scale * (then - rates)))
+                # What a next step would move is less by as much again, at least. (Another step with
+                # the same matrix would be cheaper, and finds solutions on the wrong side of turns:
+                # derivatives of a run are wrong by a hundred times as much then.)
+                return count + 1, moved, moved * jnp.minimum(moved / before, 1), then
 
             far = jnp.asarray(jnp.inf, y0.dtype)
-            _, left, rates = jax.lax.while_loop(
-                lambda carried: (carried[0] < _MOST) & (carried[1] > near),
+            least = jnp.full_like(far, jnp.finfo(y0.dtype).tiny)
+            *_, left, rates = jax.lax.while_loop(
+                lambda carried: (carried[0] < _MOST) & (carried[2] > near),
                 better,
-                (jnp.asarray(0), far, jax.lax.stop_gradient(rates)),
+                (jnp.asarray(0), least, far, jax.lax.stop_gradient(rates)),
             )
             # Its derivatives are those of one more step, and have to be taken where the equation of
             # motion has its own: beyond a turn they are others.
             rates = jax.lax.stop_gradient(rates)
-            torque, damper = slope_at(rates, given)
+            damper = slope_at(rates, stopped)[1]
+            torque = resist(rates, given) + damper * rates
             return solve(given[0], given[1] + torque, damper, factorised(damper), rates), left
 
         def advance(stage: Any, carried: Stages) -> Stages:

@@ -6,6 +6,7 @@ Benchmarks, Brussels 2016, whose notation is used.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, Self
@@ -41,6 +42,7 @@ def bouc_wen_rate(
     )
 
 
+@eqx.filter_custom_jvp
 def bouc_wen_after(
     ways: Float[Array, "leg *shape"], z: Float[Array, "*shape"], nu: Scalar, delta: Scalar
 ) -> Float[Array, "*shape"]:
@@ -58,36 +60,82 @@ def bouc_wen_after(
     def exponential() -> Array:
         after = z
         for way in ways:
-            sign = jnp.where(way < 0, -1.0, 1.0)
+            sign = _sign(way)
             after = sign - (sign - after) * jnp.exp(-sign * way)
         return after
 
     def integrated() -> Array:
-        most, one = _FULL + _DECAY / nu, jnp.ones_like(nu)
-
-        def leg(z: Array, way: Array) -> tuple[Array, None]:
-            width = jnp.clip(way, -most, most) / _STEPS
-            after = _by_steps(
-                lambda z: bouc_wen_rate(width, z, one, one, 1 - delta, delta, nu), z, _STEPS
-            )
-            return after, None
-
-        return jax.lax.scan(leg, z, ways)[0]
+        return jax.lax.scan(lambda z, way: (_leg(way, z, nu, delta), None), z, ways)[0]
 
     # All of them in one: a branch costs more than the exponentials.
     return jax.lax.cond(_is_dahl(nu, delta), exponential, integrated)
 
 
-@eqx.filter_custom_jvp
+@bouc_wen_after.def_jvp
+def _bouc_wen_after_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    """What each leg does to derivatives, worked out once however many of them there are."""
+    ways, z, nu, delta = primals
+    shaped = [index for index in (2, 3) if tangents[index] is not None]
+    wanted = [0, 1, *shaped]
+
+    def exponential() -> tuple[Array, ...]:
+        def one(z: Array, way: Array) -> tuple[Array, tuple[Array, ...]]:
+            sign, kept = _sign(way), jnp.exp(-_sign(way) * way)
+            after = sign - (sign - z) * kept
+            return after, (1 - sign * after, kept)
+
+        return jax.lax.scan(one, z, ways)[1]
+
+    def integrated() -> tuple[Array, ...]:
+        def one(z: Array, way: Array) -> tuple[Array, tuple[Array, ...]]:
+            def along(index: int, by: Array) -> Array:
+                given = [way, z, nu, delta]
+                given[index] = by
+                return _leg(*given)
+
+            slopes = []
+            for index in wanted:
+                at = (way, z, nu, delta)[index]
+                of_one = functools.partial(along, index)
+                after, slope = jax.jvp(of_one, (at,), (jnp.ones_like(at),))
+                slopes.append(slope)
+            return after, tuple(slopes)
+
+        return jax.lax.scan(one, z, ways)[1]
+
+    if shaped:
+        # By its shape the closed form has no derivatives.
+        by_way, by_z, *by_shape = integrated()
+    else:
+        (by_way, by_z), by_shape = jax.lax.cond(_is_dahl(nu, delta), exponential, integrated), []
+    of_ways, moved = (
+        jnp.zeros_like(at) if tangent is None else tangent
+        for at, tangent in zip((ways, z), tangents[:2], strict=True)
+    )
+    for leg in range(len(ways)):
+        moved = by_z[leg] * moved + by_way[leg] * of_ways[leg]
+        for index, slopes in zip(shaped, by_shape, strict=True):
+            moved = moved + slopes[leg] * tangents[index]
+    return bouc_wen_after(*primals), moved
+
+
+def _sign(way: Array) -> Array:
+    return jnp.where(way < 0, -1.0, 1.0)
+
+
+def _ones(like: Array) -> tuple[Array, Array]:
+    return jnp.ones_like(like), jnp.ones_like(like)
+
+
 def _is_dahl(nu: Scalar, delta: Scalar) -> Bool[Array, ""]:
-    """Whether nu is 1 and delta 0; never where one is differentiated by, unknown to that case."""
     return (nu == 1) & (delta == 0)
 
 
-@_is_dahl.def_jvp
-def _is_dahl_jvp(primals: Any, tangents: Any) -> tuple[Array, None]:
-    held = all(tangent is None for tangent in tangents)
-    return _is_dahl(*primals) & held, None
+def _leg(way: Array, z: Array, nu: Scalar, delta: Scalar) -> Array:
+    """z after one motion, integrated."""
+    most = _FULL + _DECAY / nu
+    width = jnp.clip(way, -most, most) / _STEPS
+    return _by_steps(lambda z: bouc_wen_rate(width, z, *_ones(nu), 1 - delta, delta, nu), z, _STEPS)
 
 
 def _by_steps(slope: Callable[[Array], Array], z: Array, count: int) -> Array:
