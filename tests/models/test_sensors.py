@@ -148,6 +148,16 @@ def test_a_state_in_the_first_row_is_free_of_what_a_gyroscope_shows_at_rest():
     np.testing.assert_allclose([begun.angle[0], begun.rate[0]], [0.2, 0.2])
 
 
+def test_a_first_row_whose_angle_was_lost_begins_on_the_line_of_the_next_ones():
+    values = {"joint01_angle": [np.nan, 0.6, 0.5, 0.4], "joint01_rate": [-1.0] * 4}
+    about = {
+        "arm": {"preset": "pendulum", "links": 1},
+        "initial": {"first_row": True, "free": True},
+    }
+    run = Run.from_arrays([0.0, 0.1, 0.2, 0.3], values, definition=about)
+    np.testing.assert_allclose(model_for([run]).prepare(run).initial.angle, [0.7])
+
+
 @pytest.mark.slow
 def test_a_late_camera_shows_what_was(plain):
     """Two samples late: the same values two rows later, and at first the arm at rest."""
@@ -434,13 +444,14 @@ def test_what_the_sensors_are_conditional_on_is_said():
 
 
 def test_a_first_row_read_by_a_sensor_that_is_fitted_is_said():
-    def told(**initial):
-        sentences = model(**EACH).conditions(["encoder.scale"], [run_of(initial=initial)])
+    def told(path="encoder.scale", **initial):
+        sentences = model(**EACH).conditions([path], [run_of(initial=initial)])
         return any(
             "the state in the first row was read with the start value" in s for s in sentences
         )
 
     assert told(first_row=True)
+    assert told("encoder.rate_offset", first_row=True)
     assert not told(first_row=True, free=True)
     assert not told(angle_deg=0.0)
 

@@ -108,6 +108,17 @@ def test_an_inlined_module_lends_its_parameters_without_its_name():
     assert (float(changed.bare.stiffness), float(changed.spring.stiffness)) == (4.0, 2.0)
 
 
+class Several(eqx.Module):
+    parts: dict[str, Spring]
+
+
+def test_named_parts_come_in_the_order_in_which_a_model_has_them():
+    """Also of models with the same parts, of which the first is asked first."""
+    first, second = (Several({name: Spring() for name in names}) for names in ("ba", "ab"))
+    for model, order in ((first, ["b", "a"]), (second, ["a", "b"])):
+        assert list(dict.fromkeys(path.split(".")[1] for path in declared(model))) == order
+
+
 def test_values_are_read_by_path_and_by_index(arm):
     assert get(arm, "air.drag_coefficient") == 1.2
     assert get(arm, "links.mass").shape == (3,)

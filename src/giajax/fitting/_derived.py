@@ -153,7 +153,7 @@ def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Est
     if not units and not followers:
         return {}
     values = jnp.asarray(statistics.values[:count], dtype=jnp.result_type(float))
-    at, slopes = _with_slopes(problem, followers, values)
+    at, slopes = _with_slopes(dataclasses.replace(problem, batches=()), followers, values)
     norms, loose = _loose(statistics.root)
     alive = statistics.alive[statistics.alive < count]
     estimates = {}

@@ -108,24 +108,23 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
             np.full(len(times), np.nan) if column is None else column
             for column in (run.values.get(f"{name}_{kind}") for kind in ("angle", "rate"))
         )
+        measured = np.isfinite(angle[:_ROWS])
+        line = np.zeros(2)
+        if np.sum(measured) >= 2:
+            since = times[:_ROWS][measured] - times[0]
+            line = np.polyfit(since, angle[:_ROWS][measured], 1)
         if np.isfinite(angle[0]):
             angles[joint] = angle[0]
         elif section.free:
-            angles[joint] = _swung(times, rate)
+            angles[joint] = line[1] if np.sum(measured) >= 2 else _swung(times, rate)
         else:
             raise InputError(
                 f"[initial] of '{run.name}' says first_row = true, but {name}_angle has "
                 "no value there: record the angle of every joint, state angle_deg, or let the fit "
                 "find the state with free = true"
             )
-        measured = np.isfinite(angle[:_ROWS])
-        if np.isfinite(rate[0]):
-            rates[joint] = rate[0]
-        else:
-            recorded = False
-            if np.sum(measured) >= 2:
-                since = times[:_ROWS][measured] - times[0]
-                rates[joint] = np.polyfit(since, angle[:_ROWS][measured], 1)[0]
+        recorded = recorded and bool(np.isfinite(rate[0]))
+        rates[joint] = rate[0] if np.isfinite(rate[0]) else line[0]
     if not (recorded or section.free):
         raise InputError(
             f"[initial] of '{run.name}' says first_row = true, but the rate of a joint has no "

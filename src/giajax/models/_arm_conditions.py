@@ -247,7 +247,7 @@ def sensor_conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[
     """What parameters of the sensors refer to: a sentence for each."""
     fitted = {path.partition("[")[0] for path in free}
     sentences = [f"{path}: {sentence}" for path, sentence in _SENSORS.items() if path in fitted]
-    encoder = sorted(fitted & {"encoder.offset", "encoder.scale"})
+    encoder = sorted(fitted & {"encoder.offset", "encoder.scale", "encoder.rate_offset"})
     read = [run for run in runs if run.definition.section(InitialSection).first_row]
     if encoder and any(not run.definition.section(InitialSection).free for run in read):
         sentences.append(

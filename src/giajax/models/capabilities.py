@@ -97,8 +97,8 @@ def at_start(model: AbstractModel, runs: Sequence[Run], free: Sequence[str]) -> 
 def derived(model: AbstractModel) -> dict[str, Derived]:
     """Quantities that follow from the parameters and may be determined where those are not.
 
-    Such as the products of parameters that show only together. Differentiable; a fit gives each a
-    standard error. By name, which is no path of a parameter.
+    Such as the products of parameters that show only together. Traced and differentiated by JAX; a
+    fit gives each a standard error. By name, which is no path of a parameter.
     """
     return _asked(model, "derived", {})
 

@@ -7,7 +7,7 @@ changed. Thresholds are far from what right recordings have, and stand where the
 import dataclasses
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,6 +57,9 @@ class Oddity:
 
     def __str__(self) -> str:
         return f"{self.sentence}: {self.remedy}"
+
+
+wrong_constant, wrong_unit = partial(Oddity, "constants"), partial(Oddity, "units")
 
 
 class Cells(NamedTuple):
@@ -375,8 +378,7 @@ def stamps(look: Look) -> Iterator[Oddity]:
         off, by = (
             ("milliseconds", "time_s=time_ms") if middle > 5 else ("seconds", "time_ms=time_s")
         )
-        yield Oddity(
-            "units",
+        yield wrong_unit(
             f"the rows are {middle:.3g} s apart, which is no usual rate: the stamps may be {off}",
             f"--rename {by}, if they are",
         )
@@ -460,8 +462,7 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
         most = float(np.nanmax(np.abs(values)))
         shown = f"{look.of(channel)} is up to {channel.from_si(most):.4g}"
         if channel.quantity == "ratio" and channel.kind == "contraction" and most > 1:
-            yield Oddity(
-                "units",
+            yield wrong_unit(
                 f"{shown}, but a contraction is a part of the length: it may be in percent",
                 "divide the column by 100",
                 (name,),
@@ -479,8 +480,7 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
                 degrees = channel.unit == "rad"
                 said = "degrees" if degrees else "converted twice"
                 renamed = f"--rename {channel.column}={name}_deg, if they are"
-                yield Oddity(
-                    "units",
+                yield wrong_unit(
                     f"{look.of(channel)} is up to {np.rad2deg(most):.4g} deg, or turns faster than "
                     f"an arm can: the values may be {said}",
                     renamed if degrees else "convert the values",
@@ -493,8 +493,7 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
             size = None if camera is None else camera.size_px
             usual = float(np.nanquantile(np.abs(values), 0.9))
             if size and usual > 1.2 * size[channel.component or 0]:
-                yield Oddity(
-                    "units",
+                yield wrong_unit(
                     f"{shown} px, but the picture has {size[channel.component or 0]} px: it may be "
                     "that of another size",
                     "correct size_px in [camera.NAME], or the columns",
@@ -505,8 +504,7 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
     for name, parts in shortened.items():
         size = float(np.nanmedian(np.sqrt(np.sum(np.square(parts), axis=0))))
         if len(parts) == 3 and 0.9 < size < 1.1:
-            yield Oddity(
-                "units",
+            yield wrong_unit(
                 f"{name} is {size:.3g} m/s^2 in the middle, but at rest shows 9.81: it may be in g",
                 "multiply its columns by 9.81",
                 (name,),
@@ -579,8 +577,7 @@ def constants(look: Look) -> Iterator[Oddity]:
                 # An arm may swim.
                 bad &= ~((part.path == AIR.density.path) & (sizes > 900) & (sizes < 1100))
                 if bad.any():
-                    yield Oddity(
-                        "constants",
+                    yield wrong_constant(
                         f"{name}.{key} is {number[bad][0]:g}, but it is usually from "
                         f"{low / part.factor:.3g} to {high / part.factor:.3g}, in the unit of its "
                         "key: it may be in another one",
@@ -600,8 +597,7 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
         return
     inertia = known.get(LINKS.inertia_transverse.path)
     if inertia is not None and np.any(inertia > 10 * mass * length**2):
-        yield Oddity(
-            "constants",
+        yield wrong_constant(
             f"arm.link_inertia_transverse_kg_m2 is {np.max(inertia):.3g}, more than ten times "
             f"mass times length squared ({np.max(mass * length**2):.3g})",
             "correct the inertia, or its unit",
@@ -614,8 +610,7 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
         displaced = 1.204 * np.pi / 4 * diameter**2 * length
         ratio = float(np.max(mass / displaced))
         if not 1e-2 < ratio < 10:
-            yield Oddity(
-                "constants",
+            yield wrong_constant(
                 f"a link weighs {ratio:.3g} times the air that it displaces, but without gravity "
                 "buoyancy must balance it: the mass, or a size, may be off by a power of ten",
                 "correct link_mass_kg, link_diameter_m or link_length_m in [arm], or state "
@@ -631,8 +626,7 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
         least = float(np.min(stiffness))
         upright = np.any(np.abs(known.get(BASE.base_rotation.path, np.zeros(3))) > 0.5)
         if least > 0 and torque > np.pi / 2 * least and not upright and section.muscles is None:
-            yield Oddity(
-                "constants",
+            yield wrong_constant(
                 f"with gravity and without buoyancy the arm weighs {torque:.3g} N m about its "
                 f"base, which a joint of {least:.3g} N m/rad does not carry",
                 "state buoyancy = true and trim = true in [arm], or gravity_m_per_s2 = 0 where "
@@ -687,8 +681,7 @@ def force(look: Look) -> Iterator[Oddity]:
     held = (contraction[cells.rows] < 0.05) & (pressures > most / 2)
     weak = ideal > 0 and held.any() and np.median(size[held] / pressures[held]) < 1e-2 * ideal
     if ratio > 20 or (weak and ratio < 1e-2):
-        yield Oddity(
-            "units",
+        yield wrong_unit(
             f"the force is {ratio:.2g} times that of an ideal muscle of this size and pressure: "
             "force, pressure or diameter may be in another unit",
             "correct the unit in the name of the column, or the key in [muscle]",
@@ -696,8 +689,7 @@ def force(look: Look) -> Iterator[Oddity]:
         )
     limit = stated.get(BRAIDED.pressure_limit.path)
     if limit is not None and not 0.01 < most / float(limit) < 5:
-        yield Oddity(
-            "units",
+        yield wrong_unit(
             f"the pressure is up to {most / float(limit):.2g} times the stated limit: one of them "
             "may be in another unit",
             "correct the unit in the name of the column, or pressure_limit_kPa",

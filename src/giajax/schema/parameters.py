@@ -222,16 +222,26 @@ def parameter_rows(model: eqx.Module) -> dict[str, str]:
 def _by_path(model: eqx.Module) -> dict[str, Parameter]:
     """All parameters, those that are left out too; of those that parts share, one."""
     # They depend on what a model consists of and not on its values; a fit asks for them often.
-    structure = jax.tree.structure(model)
-    if structure not in _BY_STRUCTURE:
-        while len(_BY_STRUCTURE) >= _MOST_STRUCTURES:
-            _BY_STRUCTURE.pop(next(iter(_BY_STRUCTURE)), None)
-        _BY_STRUCTURE[structure] = _found(model)
-    return _BY_STRUCTURE[structure]
+    parts = _parts(model)
+    known = _BY_PARTS.get(parts)
+    if known is None:
+        while len(_BY_PARTS) >= _MOST_KEPT:
+            _BY_PARTS.pop(next(iter(_BY_PARTS)), None)
+        known = _BY_PARTS[parts] = _found(model)
+    return known
 
 
-_BY_STRUCTURE: dict[Any, dict[str, Parameter]] = {}
-_MOST_STRUCTURES = 64
+_BY_PARTS: dict[Any, dict[str, Parameter]] = {}
+_MOST_KEPT = 64
+
+
+def _parts(node: Any) -> Any:
+    """The classes of a model's parts, in their order."""
+    if isinstance(node, eqx.Module):
+        return type(node), tuple(map(_parts, vars(node).values()))
+    if isinstance(node, dict):
+        return tuple((name, _parts(part)) for name, part in node.items())
+    return tuple(map(_parts, node)) if isinstance(node, tuple) else None
 
 
 def _found(model: eqx.Module) -> dict[str, Parameter]:

@@ -266,7 +266,7 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             damper = jax.lax.stop_gradient(jnp.maximum(-softening, 0))
             return torque + damper * rates, damper
 
-        near = max(_NEAR, _ROUNDING * float(jnp.finfo(y0.dtype).eps))
+        solved = max(_NEAR, _ROUNDING * float(jnp.finfo(y0.dtype).eps))
 
         def found(rates: Array, given: Any) -> tuple[State, Scalar]:
             """A stage with what resists by the way of the joints, and how far off it is, rad."""
@@ -286,7 +286,7 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             far = jnp.asarray(jnp.inf, y0.dtype)
             least = jnp.full_like(far, jnp.finfo(y0.dtype).tiny)
             *_, left, rates = jax.lax.while_loop(
-                lambda carried: (carried[0] < _MOST) & (carried[2] > near),
+                lambda carried: (carried[0] < _MOST) & (carried[2] > solved),
                 better,
                 (jnp.asarray(0), least, far, jax.lax.stop_gradient(rates)),
             )
@@ -308,12 +308,12 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 change = jnp.where(stage == end, known_part, solve(known_part, pull))
             else:
                 given = known_part, pull, time, y0, args, resisted
-                begin = guess[stage] @ parts[:, 0, 0] / length - y0[1]
-                begin = jnp.where(stage == 0, 0, begin)
+                near = guess[stage] @ parts[:, 0, 0] / length - y0[1]
+                near = jnp.where(stage == 0, 0, near)
                 change, moved = jax.lax.cond(
                     stage == end,
                     lambda: (known_part, jnp.zeros_like(off)),
-                    lambda: found(begin, given),
+                    lambda: found(near, given),
                 )
                 off = jnp.maximum(off, moved)
             slope = terms.vf(time, y0 + change, args)
@@ -340,7 +340,7 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             weight = jnp.where(jnp.isnan(borne), weight, _CAUTION_AT_TURNS * borne)
         y_error = weight * y_error
         if resisted is not None:
-            y_error = jnp.where(jax.lax.stop_gradient(off) > max(_FAR, near), jnp.inf, y_error)
+            y_error = jnp.where(jax.lax.stop_gradient(off) > max(_FAR, solved), jnp.inf, y_error)
         return y1, y_error, dense, (jnp.asarray(True), f1), diffrax.RESULTS.successful
 
     @staticmethod

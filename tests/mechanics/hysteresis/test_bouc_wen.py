@@ -198,6 +198,27 @@ def test_z_after_a_way_is_that_of_its_equation(nu, delta):
         assert_allclose(jax.jvp(by, (given[index],), (one,))[1], slope, rtol=0, atol=2e-4)
 
 
+@pytest.mark.parametrize("nu", [1.0, 1.4])
+def test_second_derivatives_of_z_are_differences_of_first_ones(nu):
+    """By nu of those by z: with nu = 1 they are of another formula than the value is."""
+    ways, z, delta = (
+        jnp.asarray([[0.4, -0.7], [-0.3, 0.2]]),
+        jnp.asarray([0.2, -0.5]),
+        jnp.zeros(()),
+    )
+
+    def by_z(nu):
+        return jax.jvp(lambda z: bouc_wen_after(ways, z, nu, delta), (z,), (jnp.ones_like(z),))[1]
+
+    one, at, step = jnp.ones(()), jnp.asarray(nu), 1e-5
+    slope = (by_z(at + 2 * step) - by_z(at + step)) / step
+    assert np.all(np.abs(slope) > 1e-2)
+    assert_allclose(jax.jvp(by_z, (at,), (one,))[1], slope, rtol=0, atol=5e-3)
+    reverse = jax.jacrev(lambda nu: bouc_wen_after(ways, z, nu, delta))(at)
+    forward = jax.jacfwd(lambda nu: bouc_wen_after(ways, z, nu, delta))(at)
+    assert_allclose(reverse, forward, rtol=1e-10)
+
+
 def test_nothing_moves_without_a_way():
     """Where a motion begins both sides have their own slope, and neither is NaN."""
     still, z = jnp.zeros(1), jnp.asarray([0.4])

@@ -127,8 +127,16 @@ def _ones(like: Array) -> tuple[Array, Array]:
     return jnp.ones_like(like), jnp.ones_like(like)
 
 
+@eqx.filter_custom_jvp
 def _is_dahl(nu: Scalar, delta: Scalar) -> Bool[Array, ""]:
+    """Whether nu is 1 and delta 0; not where one is differentiated by once more."""
     return (nu == 1) & (delta == 0)
+
+
+@_is_dahl.def_jvp
+def _is_dahl_jvp(primals: Any, tangents: Any) -> tuple[Array, None]:
+    held = all(tangent is None for tangent in tangents)
+    return _is_dahl(*primals) & held, None
 
 
 def _leg(way: Array, z: Array, nu: Scalar, delta: Scalar) -> Array:
