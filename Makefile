@@ -105,6 +105,7 @@ types: $(VENV)/.installed-dev
 bench: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks.bench $(BENCH_ARGS)
 	$(BIN)/python -m benchmarks.options
+	$(BIN)/python -m benchmarks.right_model
 	$(BIN)/python -m benchmarks.hysteresis
 
 bench-check: $(VENV)/.installed-dev

@@ -162,6 +162,15 @@ def test_the_benchmark_of_cores_runs(tmp_path):
 
 
 @pytest.mark.long
+def test_the_benchmark_of_the_right_model_runs(tmp_path):
+    out = tmp_path / "right_model.json"
+    benchmark("right_model", "--quick", "--out", out)
+    found = json.loads(out.read_text())["arms"]
+    assert {"plain", "memory", "memory and full air"} <= set(found)
+    assert all(each["error"] <= 1e-4 for each in found.values())
+
+
+@pytest.mark.long
 def test_the_benchmark_of_batches_runs(tmp_path):
     out = tmp_path / "new" / "batch.json"
     benchmark("batch", "--quick", "--out", out)

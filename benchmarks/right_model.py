@@ -1,0 +1,117 @@
+"""25 s of the arm with the physics that a real one has, over the plain arm at the same error.
+
+Each arm runs at the loosest tolerance at which its tip is right to 1e-4 m, alone and with the
+derivatives by four parameters; in turns, least times.
+
+    python -m benchmarks.right_model [--quick] [--out FILE]
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.table import Table
+
+from benchmarks.measuring import columns, in_turns, report
+from giajax import joint_ramps, replace, simulate, takeichi_20m, takeichi_20m_full
+from giajax.mechanics.arm import Arm
+
+ACCURACY = 1e-4  # m, of the tip
+TOLERANCES = (3e-4, 2e-4, 1e-4, 7e-5, 5e-5, 3e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)
+PATHS = (
+    "air.drag_coefficient",
+    "joints.pitch_stiffness",
+    "joints.yaw_stiffness",
+    "joints.damping",
+)
+
+MEMORY = {"joints.memory.strength": 0.06, "joints.memory.yield_angle": 0.001}
+STOPS = {"joints.stops.strength": [0.03, 0.03], "joints.stops.yield_angle": [1e-3, 4e-3]}
+
+# What each may take over the plain arm: a run, and one with its derivatives.
+ALLOWED = {
+    "full air": (1.3, 1.7),
+    "memory": (2.0, 2.5),
+    "stops": (2.0, 2.5),
+    "memory and full air": (4.0, 5.0),
+    "muscles in the pitch joints": (1.8, 2.0),
+}
+
+
+def arms(links: int) -> dict[str, Arm]:
+    """The plain arm and those with more."""
+    damped = {"joints.damping": 0.5}
+    return {
+        "plain": takeichi_20m(links),
+        "full air": takeichi_20m_full(links),
+        "memory": takeichi_20m(links, parameters=MEMORY),
+        "stops": takeichi_20m(links, parameters=STOPS),
+        "memory and full air": takeichi_20m_full(links, parameters=MEMORY),
+        "muscles in the pitch joints": takeichi_20m(links, muscles="pitch", parameters=damped),
+    }
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    links, seconds, repeats = (3, 2.0, 1) if quick else (20, 25.0, 7)
+    command = joint_ramps(links, {1: np.deg2rad(30), 2: np.deg2rad(20)}, start=0.5, duration=1.0)
+    times = jnp.linspace(0.0, seconds, round(10 * seconds) + 1)
+
+    @jax.jit
+    def run(arm: Arm, values: Any, tolerance: Any) -> tuple[Any, Any]:
+        own = replace(arm, dict(zip(PATHS, values, strict=True)))
+        motion = simulate(own, command, times, rtol=tolerance, atol=tolerance)
+        return motion.tip, motion.steps
+
+    with_slopes = jax.jit(jax.jacfwd(run, argnums=1, has_aux=True))
+    found: dict[str, Any] = {}
+    contenders: dict[str, Any] = {}
+    for name, arm in arms(links).items():
+        values = jnp.asarray([1.2, 3.0, 30.0, jnp.max(jnp.asarray(arm.joints.damping))])
+        exact = np.asarray(run(arm, values, 1e-9)[0])
+        for tolerance in TOLERANCES:
+            tip, steps = run(arm, values, tolerance)
+            error = float(np.max(np.linalg.norm(np.asarray(tip) - exact, axis=1)))
+            if error <= ACCURACY:
+                break
+        found[name] = {"tolerance": tolerance, "error": error, "steps": np.asarray(steps).tolist()}
+        given = (arm, values, tolerance)
+        for of, call in (("run", run), ("slopes", with_slopes)):
+            contenders[f"{name}: {of}"] = lambda call=call, given=given: jax.block_until_ready(
+                call(*given)
+            )
+    times_of = in_turns(contenders, repeats)
+    plain = {of: times_of[f"plain: {of}"]["min"] for of in ("run", "slopes")}
+    for name, each in found.items():
+        for of, least in plain.items():
+            seconds_of = times_of[f"{name}: {of}"]["min"]
+            each[of] = {"seconds": seconds_of, "ratio": seconds_of / least}
+    return {"links": links, "arms": found}
+
+
+def table(found: dict[str, Any]) -> Table:
+    rows = columns(
+        f"25 s of {found['links']} links, {ACCURACY:g} m at the tip",
+        "",
+        "tolerance",
+        "steps + rejected",
+        "run, ms",
+        "over plain (allowed)",
+        "with Jacobian, ms",
+        "over plain (allowed)",
+    )
+    for name, each in found["arms"].items():
+        allowed = ALLOWED.get(name, (1.0, 1.0))
+        cells = [f"{each['tolerance']:g}", " + ".join(map(str, each["steps"]))]
+        for of, most in zip(("run", "slopes"), allowed, strict=True):
+            cells += [f"{1e3 * each[of]['seconds']:.3g}", f"{each[of]['ratio']:.2f} ({most:g})"]
+        rows.add_row(name, *cells)
+    return rows
+
+
+def main() -> None:
+    report(__doc__, "right_model", measure, table)
+
+
+if __name__ == "__main__":
+    main()
