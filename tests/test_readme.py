@@ -71,8 +71,9 @@ def test_the_files_that_pages_show_are_legal():
 @pytest.mark.parametrize(
     ("page", "folder", "truth"), [("own_arm.md", "mine", 1.3), ("film.md", "tube", 1.15)]
 )
-def test_the_files_and_commands_of_a_page_run(page, folder, truth, tmp_path, monkeypatch):
+def test_the_files_and_commands_of_a_page_run(page, folder, truth, tmp_path, monkeypatch, capsys):
     """Blocks that begin with a name are files; the C_D of a simulation is found again."""
+    said = {}
     monkeypatch.chdir(tmp_path)
     text = PAGES[page].read_text(encoding="utf-8")
     (tmp_path / "robot.xml").write_text(ROBOT)
@@ -80,13 +81,30 @@ def test_the_files_and_commands_of_a_page_run(page, folder, truth, tmp_path, mon
         if language == "toml":
             (tmp_path / block.split()[1]).write_text(block)
         for line in () if language else block.replace("\\\n", "").splitlines():
-            assert main(shlex.split(line)[1:]) == 0, line
+            words = shlex.split(line)[1:]
+            assert main(words) == 0, line
+            said[words[0]] = capsys.readouterr().out
     result = giajax.load_result(folder)
     drag = result.parameters["air.drag_coefficient"]
     assert abs(drag.value - truth) < 3 * drag.standard_error < 0.3
     assert result.verdict.status == "adequate"
     if page == "own_arm.md":
         assert (tmp_path / "exported" / "arm.xml").exists()
+        return
+    seen, pictures = re.search(r"(\d+) of (\d+) were found", text).groups()
+    assert f"{seen} points found of {pictures}" in said["import"]
+    printed = table(said["fit"])
+    assert len(table(text)) == 5
+    for name, numbers in table(text).items():
+        for shown, found in zip(numbers, printed[name], strict=True):
+            # But for the last digit, which another processor may round otherwise.
+            assert abs(float(shown) - float(found)) < 1.1 * 10.0 ** -len(shown.partition(".")[2])
+
+
+def table(text):
+    """The numbers in the rows of a table of parameters, by their names."""
+    rows = [line for line in text.splitlines() if re.match(r"\w+\.[\w\[\]]+ +-?\d", line)]
+    return {line.split()[0]: re.findall(r"-?\d+\.\d+", line) for line in rows}
 
 
 ROBOT = """<mujoco><compiler angle="radian"/><worldbody><body><joint axis="0 -1 0" damping="0.01"

@@ -66,10 +66,10 @@ def write_bag(folder, topics, name="bag", plugin=StoragePlugin.SQLITE3):
 
 TOPICS = [
     ("/joint_states", 0.0, joints(0.0, ["shoulder", "elbow"], [0.1, 0.2], [1.0, 2.0])),
-    ("/commands", 0.1, joints(0.1, ["shoulder"], [0.5])),
+    ("/commands", 0.1, joints(None, ["shoulder"], [0.5])),
     ("/imu", 0.2, inertial(0.2, (1, 2, 3), (4, 5, 6))),
     ("/markers", 0.2, poses(0.2, (1, 2, 3), (4, 5, 6))),
-    # Late in the bag, and of one joint alone; then without a stamp of its own.
+    # Late in the bag, and of one joint alone; then a topic without stamps.
     ("/joint_states", 0.6, joints(0.5, ["elbow"], [0.3], [3.0], [7.0])),
     ("/commands", 0.7, joints(None, ["shoulder"], [1.1])),
     ("/tip", 0.8, pose(0.8, (7, 8, 9))),
@@ -98,7 +98,7 @@ def test_what_is_in_a_bag(tmp_path, plugin):
             "joint02_angle": [0.2, nan, nan, 0.3, nan, nan],
             "joint02_rate": [2, nan, nan, 3, nan, nan],
             "joint01_rate": [1, nan, nan, nan, nan, nan],
-            "joint01_command": [0.5, 0.5, 0.6, 0.9, 1.1, 1.1],
+            "joint01_command": [0.5, 0.5, 0.5, 0.5, 1.1, 1.1],
             "imu03_gyro_y": [nan, nan, 2, nan, nan, nan],
             "imu03_accel_z": [nan, nan, 6, nan, nan, nan],
             "link02_x": [nan, nan, 4, nan, nan, nan],
@@ -122,6 +122,34 @@ def test_a_sensor_that_is_not_there_is_no_channel(tmp_path):
     }
 
 
+@pytest.mark.quick
+def test_messages_of_a_bag_have_one_clock_and_none_is_lost(tmp_path):
+    """Where a topic is ignored, it does not matter what its clock is."""
+    tip = [("/tip", time, pose(time, (time, 0, 0))) for time in (0.0, 0.5, 1.0)]
+    turn = {"/cmd/a": "joint01_command", "/tip": "tip"}
+    for number, (wrong, says) in enumerate([
+        ([(0.0, 0.0), (0.5, None)], "1 of 2 messages of /cmd have no time stamp"),
+        ([(0.0, 0.2), (0.4, 0.2), (0.5, 0.2), (0.6, 0.7)], "2 of 4 messages of /cmd have the same"),
+        ([(0.0, -BEGAN + 5.0)], "the clocks of /cmd and /tip lie 1.7e+09 s apart, but the"),
+        ([(0.0, 90.0), (0.5, 90.5)], "the clocks of /tip and /cmd lie 89 s apart, but the bag las"),
+    ]):  # fmt: skip
+        commands = [("/cmd", at, joints(time, ["a"], [at])) for at, time in wrong]
+        path = write_bag(tmp_path, sorted([*tip, *commands], key=lambda each: each[1]), f"{number}")
+        with pytest.raises(InputError) as caught:
+            read_foreign(path)
+        assert says in str(caught.value)
+        assert "--ignore '/" in str(caught.value)
+        how = ImportSettings(ignore=["/cmd*"])
+        table = read_foreign(path, how)
+        times, values = rows_kept(table, channels_of(table, turn, how=how), how)
+        np.testing.assert_allclose(times, [0, 0.5, 1])
+        np.testing.assert_allclose(values["tip_x"], [0, 0.5, 1])
+    # A simulation begins at 0, and is recorded faster than it runs.
+    fast = [("/cmd", at, joints(10 * at - BEGAN, ["a"], [at])) for at in (0.0, 0.5, 1.0)]
+    table = read_foreign(write_bag(tmp_path, fast, "fast"))
+    np.testing.assert_allclose(table.times, [0, 5, 10])
+
+
 # rosbags 0.11.0 leaves the torn file open.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.quick
@@ -137,6 +165,7 @@ def test_a_bad_bag_is_one_sentence(tmp_path, monkeypatch):
         ("torn.mcap", {}, "reading"),
         ("text.db3", {}, "reading"),
         ("gone.mcap", {}, "gone.mcap"),
+        ("bag", {"axes": ("x", "-y")}, "--axes changes nothing in this table of ROS 2: leave it"),
         ("bag", {"frame_rate": 5.0}, "a bag has its own times: leave out --frame-rate"),
     ]:
         with pytest.raises(InputError) as caught:

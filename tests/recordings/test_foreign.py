@@ -61,6 +61,10 @@ KINOVEA = (
     "#Kinovea Trajectory data export\n#T X Y\n\n# elbow\n0 100.5 20.25\n40 101 21\n\n\n"
     "# tip\n40 -5 300\n80 -6 301\n\n"
 )
+# A take of rigid bodies alone, whose last column has no axis.
+BODY = "\n".join(
+    line if "Version" in line else ",".join(line.split(",")[:10]) for line in MOTIVE.split("\n")
+)
 COLUMNS = "t;joint01_command_deg;z of tip;note\n0;0;1,5;a\n0,1;10;1,6;b\n0,2;20;;c\n"
 DEEPLABCUT = (
     "scorer,s,s,s\nbodyparts,tip,tip,tip\ncoords,x,y,likelihood\n0,10.5,20.5,0.9\n1,11.5,21.5,0.9\n"
@@ -113,6 +117,10 @@ FILES = {
         MOTIVE, {}, {"Arm:Tip": "tip", "Arm": "link01"}, [0, 0.008333],
         {"tip_x": [1, np.nan], "tip_y": [-3, np.nan], "tip_z": [2, np.nan],
          "link01_x": [0.1, 0.101], "link01_y": [-0.3, -0.301], "link01_z": [0.2, 0.201]},
+    ),
+    "OptiTrack Motive, no markers": (
+        BODY, {}, {"Arm": "link01"}, [0, 0.008333],
+        {"link01_x": [0.1, 0.101], "link01_y": [-0.3, -0.301], "link01_z": [0.2, 0.201]},
     ),
     "phyphox": (
         PHYPHOX, {}, {"Gyroscope": "imu02", "Gyroscope y": "joint01_rate"}, [0.01, 0.021],
@@ -169,6 +177,31 @@ def test_a_file_is_known_by_its_content(tmp_path, name):
         (MOTIVE.replace("Frame,Time", "Time"), {}, "is not a file of OptiTrack Motive"),
         (MOTIVE.replace("1,0.008333", "1,0.0"), {}, "must follow each other in time"),
         (MOTIVE.replace("101.0,201.0", "101.0"), {}, "row 9 has 12 cells"),
+        (MOTIVE.replace("1,0.008333", "1,"), {}, "but row 9 has no time: give it one"),
+        (MOTIVE.replace("1,0.008333", "1,-1"), {}, "but row 9 goes back in time: sort"),
+        (MOTIVE.replace("1,0.008333", "1,0"), {}, "but row 9 has the time of the row before"),
+        (SLEAP.replace("arm,1", "arm,"), {"frame_rate": 1.0}, "but row 3 has no time"),
+        (KINOVEA.replace("80 -6", "40 -6"), {"unit": "m"}, "but row 11 has the time of the row"),
+        (KINOVEA.replace("# tip", "# elbow"), {"unit": "m"}, "two points that are called 'elbow'"),
+        (ANIPOSE.replace("1001.0", '"1,001"'), {"frame_rate": 1.0, "unit": "m"},
+         "row 3 has '1,001', but other numbers have a decimal point"),
+        (PHYPHOX.replace("Absolute (rad/s)", "Time (s)"), {}, "has the column 'Time (s)' 2 times"),
+        # Options that a table has no use for.
+        (SLEAP, {"frame_rate": 1.0, "origin": (0, 9)}, "--origin changes nothing in this table of"),
+        (SLEAP, {"frame_rate": 1.0, "rename": {"tip": "x"}}, "--rename changes nothing in this"),
+        (DEEPLABCUT, {"frame_rate": 1.0, "unit": "mm"}, "--unit changes nothing in this table of"),
+        (DEEP, {"frame_rate": 1.0, "origin": (0, 9)}, "--origin changes nothing in this table of"),
+        (DEEP, {"frame_rate": 1.0}, "does not say the unit of its coordinates: give --unit m, cm"),
+        (KINOVEA, {"unit": "m", "origin": (0, 9)}, "--unit changes nothing in this table of"),
+        (TRACKER, {"unit": "m", "time_unit": "ms"}, "--time-unit changes nothing in this table of"),
+        (TRACKER, {"unit": "m", "likelihood": 0.9}, "--likelihood changes nothing in this table"),
+        (TRACKER_ONE, {"axes": ("x", "z")}, "--axes changes nothing in this table of Tracker"),
+        (MOTIVE, {"unit": "m"}, "--unit changes nothing in this table of OptiTrack"),
+        (PHYPHOX, {"unit": "m"}, "--unit changes nothing in this table of phyphox: leave it out"),
+        (COLUMNS, {"unit": "m"}, "--unit changes nothing in this table of a spreadsheet: leave it"),
+        (DEEP, {"offset": np.nan}, "--offset and --origin must be finite numbers"),
+        (DEEP, {"until": np.nan}, "--from-time and --until must be numbers"),
+        (DEEP, {"likelihood": np.nan}, "the likelihood is nan: give a number from 0 to 1"),
         (PHYPHOX.replace("2.100000000E-2", "2.1e"), {}, "'Time (s)' has '2.1e' in row 3"),
         (PHYPHOX, {"frame_rate": -1.0}, "the rate is -1"),
         (KINOVEA.replace("40 101 21", "40 101"), {"unit": "m"}, "row 6 has 2 cells"),
@@ -209,7 +242,14 @@ def test_options_cut_shift_turn_and_choose(tmp_path, capsys):
     np.testing.assert_allclose(late.times, [0, 0.04])
     np.testing.assert_allclose(late.values["tip_z"], -whole.values["tip_z"][:2])
     np.testing.assert_allclose(late.values["tip_x"], whole.values["tip_x"][:2])
-    for choice in (["--only", "tip*"], ["--ignore", "elbow"], ["--ignore", "link01_?"]):
+    twice = imported(tmp_path, TRACKER, *plain, "--flip", "z", "--flip", "tip_z")
+    np.testing.assert_array_equal(twice.values["tip_z"], -whole.values["tip_z"])
+    for choice in (
+        ["--only", "tip"],
+        ["--only", "tip*"],
+        ["--ignore", "elbow"],
+        ["--ignore", "link01_?"],
+    ):
         assert set(imported(tmp_path, TRACKER, *plain, *choice).values) == {"tip_x", "tip_z"}
     # A film of 240 pictures a second, shown at 25: the stamps are those of the player.
     fast = imported(tmp_path, TRACKER, *plain, "--frame-rate", "240")
@@ -227,11 +267,13 @@ def test_options_cut_shift_turn_and_choose(tmp_path, capsys):
 
 
 @pytest.mark.quick
-def test_a_table_and_a_film_beside_each_other(tmp_path):
+def test_a_table_and_a_film_beside_each_other(tmp_path, capsys):
     """A log of a spreadsheet gives the commands, whatever stands between its cells."""
     names = ["--rename", "t=time_s", "--rename", "z of tip=tip_z_m", "--ignore", "note"]
     log = imported(tmp_path, COLUMNS, *names)
     assert set(log.values) == {"joint01_command", "tip_z"}
+    assert imported(tmp_path, COLUMNS, *names[:-2], "--only", "time_s") == 2
+    assert "no channel is left: correct --only" in capsys.readouterr().err
     film = write(tmp_path, DEEPLABCUT, "film.csv")
     both, words = tmp_path / "both.csv", ["--frame-rate", "20", "--point", "tip=tip"]
     beside = ["--commands", str(tmp_path / "run.csv"), "--out", str(both)]
@@ -260,6 +302,11 @@ def test_what_drives_and_stands_in_the_table_is_known_at_the_other_times(tmp_pat
         (MOTIVE, {"Arm": "imu01"}, "of which no position is recorded: call it link06 or tip"),
         (PHYPHOX, {"Gyroscope w": "imu01"}, "must be one of Gyroscope, Absolute"),
         (PHYPHOX, {}, "such as --point 'Gyroscope=tip'"),
+        (
+            PHYPHOX.replace("Gyroscope", "Linear Acceleration").replace("rad/s", "m/s^2"),
+            {"Linear Acceleration": "imu01"},
+            "but gravity is taken out of it, as no accelerometer does: record the acceleration",
+        ),
     ],
 )
 def test_a_thing_is_what_its_quantity_can_be(tmp_path, text, parts, says):

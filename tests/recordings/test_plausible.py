@@ -517,8 +517,18 @@ def test_a_loop_that_runs_down_is_turned_by_the_printed_command(tmp_path, capsys
     assert main(["check", str(path), "--strict"]) == 3
     said = capsys.readouterr().out
     assert "column 'output' falls where its input rises" in said
-    (command,) = re.findall(r"giajax (import '.*' --flip output --out turned.csv)", said)
+    (command,) = re.findall(r"giajax (import '.*' --flip output --out turned.csv)\n", said)
     assert main(shlex.split(command)) == 0
+    assert main(["check", "turned.csv", "--strict"]) == 0
+    # What it also needs: the names that check was given, and what the sidecar says.
+    path.write_text("\n".join(["t,input,y", *lines[1:]]) + "\n")
+    path.with_suffix(".toml").write_text('model = "hysteresis"\n')
+    names = ["--rename", "t=time_s", "--rename", "y=output"]
+    assert main(["check", str(path), *names, "--strict"]) == 3
+    needs = "turned.csv, with the same --rename, and copy a loop.toml to turned.toml\n"
+    assert needs in capsys.readouterr().out
+    assert main([*shlex.split(command), *names, "--force"]) == 0
+    path.with_suffix(".toml").rename("turned.toml")
     assert main(["check", "turned.csv", "--strict"]) == 0
 
 

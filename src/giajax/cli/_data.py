@@ -231,8 +231,8 @@ def import_(
     for name, column in measured.items():
         if not np.any(np.isfinite(column)):
             raise InputError(
-                f"{file} has no picture in which the point of {name} was found: leave it out, "
-                "or lower --likelihood"
+                f"{file} has no row in which {name} was found: leave it out, or lower --likelihood "
+                "where the program says how likely points are"
             )
     # Coordinates of a point are found together.
     found = {name.rpartition("_")[0]: np.isfinite(column) for name, column in measured.items()}

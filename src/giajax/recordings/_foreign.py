@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,6 +63,21 @@ class ImportSettings:
                 f"the axes are {','.join(self.axes)}: give each of x, y and z once, in the order "
                 "of the file's coordinates, such as x,z of a film from the side or x,z,-y"
             )
+        if not 0 <= self.likelihood <= 1:
+            raise InputError(f"the likelihood is {self.likelihood:g}: give a number from 0 to 1")
+        if not np.all(np.isfinite([self.offset, *(self.origin or ())])):
+            raise InputError("--offset and --origin must be finite numbers: correct them")
+        if np.isnan(self.from_time) or np.isnan(self.until):
+            raise InputError("--from-time and --until must be numbers: correct them")
+
+    def check_used(self, path: Path, program: str, *used: str) -> None:
+        """Refuse the options of how a file is read that are not among those of this one."""
+        for option, default in _AS_READ.items():
+            if option not in used and getattr(self, option) != default:
+                raise InputError(
+                    f"{path}: --{option.replace('_', '-')} changes nothing in this table of "
+                    f"{program}: leave it out"
+                )
 
     def keeps(self, *names: str) -> bool:
         """Whether what has these names becomes a part of the run."""
@@ -77,6 +93,10 @@ class ImportSettings:
                         f"--{option} {pattern} is none of {some(names)}: correct the name; "
                         "* stands for any letters"
                     )
+
+
+_READING = ("frame_rate", "likelihood", "time_unit", "unit", "origin", "axes", "rename")
+_AS_READ = {option: getattr(ImportSettings(), option) for option in _READING}
 
 
 def _matches(names: Sequence[str], patterns: Sequence[str]) -> bool:
@@ -144,6 +164,7 @@ _ENDINGS = {
     "length": "_{label}",
     "angular_velocity": "_gyro_{label}",
     "acceleration": "_accel_{label}",
+    "linear_acceleration": "_accel_{label}",
     "angle": "_angle",
     "torque": "_torque",
 }
@@ -154,6 +175,8 @@ _PARTS = {
     "angular_velocity": "of which no rates are recorded: call it imu06, or one of its columns "
     "joint01_rate",
     "acceleration": "of which no acceleration is recorded: call it imu06",
+    "linear_acceleration": "but gravity is taken out of it, as no accelerometer does: record the "
+    "acceleration with g",
     "angle": "of which no angle is recorded: call it joint01",
     "torque": "of which no torque is recorded: call it joint01_torque",
 }
@@ -193,26 +216,29 @@ def channels_of(
             if name in values:
                 raise InputError(f"two tracked points are called {shown(part)}: rename one")
             values[name], sources[name] = column.values, thing
-    if not values:
+    if not values and table.things:
         raise InputError(
             "no tracked point is a channel: say which is which, of "
             f"{some(list(table.things))}, such as --point "
             f"{shown(next(iter(table.things), 'NAME') + '=tip')}"
         )
     if not table.channels:
-        how.check_patterns([*table.things, *values])
-        values = {n: v for n, v in values.items() if how.keeps(n, sources[n], n.partition("_")[0])}
+        names = {name: (name, source, name.partition("_")[0]) for name, source in sources.items()}
+        if table.things:
+            how.check_patterns([*table.things, *(each for of in names.values() for each in of)])
+        values = {name: column for name, column in values.items() if how.keeps(*names[name])}
         if not values:
             raise InputError("no channel is left: correct --only and --ignore")
+    turned: set[str] = set()
     for flip in how.flip:
-        flipped = [name for name in values if name == flip or name.endswith(f"_{flip}")]
+        numbers = [name for name, column in values.items() if column.dtype != object]
+        flipped = [name for name in numbers if name == flip or name.endswith(f"_{flip}")]
         if not flipped:
             raise InputError(
-                f"--flip {flip} is none of {some(list(values))}: give an axis, such as z, or a "
-                "channel"
+                f"--flip {flip} is none of {some(numbers)}: give an axis, such as z, or a channel"
             )
-        values |= {name: -values[name] for name in flipped}
-    return values
+        turned.update(flipped)
+    return {name: -column if name in turned else column for name, column in values.items()}
 
 
 def _channel_name(
@@ -234,8 +260,8 @@ def rows_kept(
 ) -> tuple[Numbers | None, dict[str, npt.NDArray[Any]]]:
     """Times (s) on the clock of the run, and channels, of the rows that are kept.
 
-    Of several clocks these are the rows at which a channel has a value; what drives the arm goes
-    on linearly between its own, and is held before and after.
+    Of several clocks these are the rows at which a channel has a value; what drives the arm holds
+    its last one, and the first one before.
 
     Raises:
         InputError: no row is kept, or there are no times to choose by.
@@ -264,4 +290,7 @@ def _held(name: str, column: Numbers, times: Numbers) -> Numbers:
     if column_table()[Channel.named(name).kind].part == "output":
         return column
     known = np.isfinite(column)
-    return np.interp(times, times[known], column[known]) if known.any() else column
+    if not known.any():
+        return column
+    last = np.searchsorted(times[known], times, side="right") - 1
+    return column[known][np.maximum(last, 0)]

@@ -32,15 +32,18 @@ class Sheet:
     Attributes:
         path: of the file.
         head: cells of the first lines.
+        first: the line of the first row, once rows were read.
     """
 
     def __init__(self, path: Path, data: bytes, separator: str) -> None:
         self.path, self.separator = path, separator
         self.lines = csv_lines(data, path, separator).split(b"\n")
+        self.first = 1
         self.head = _head(data, separator)
 
     def rows(self, above: int, width: int) -> "Rows":
         """The cells of the lines below `above` lines, of which each has `width`."""
+        self.first = above + 1
         lines = self.lines[above:]
         empty = self.separator.encode() + b" "
         while lines and not lines[-1].strip(empty):
@@ -83,6 +86,13 @@ class Rows(NamedTuple):
         """As `Sheet.numbers`; a comma in a number is a decimal comma."""
         rows = np.arange(len(self.cells) // self.stride)[:, None] * self.stride
         cells = self.cells.gather((rows + np.array([*wanted], dtype=int)).ravel())
+        commas = cells.str.contains(",", literal=True).fill_null(False)
+        if commas.any() and cells.str.contains(".", literal=True).any():
+            at = int(commas.arg_max() or 0)
+            raise InputError(
+                f"{self.path}: row {self.first + at // len(wanted)} has {shown(cells[at], 40)}, "
+                "but other numbers have a decimal point: write all without separators of thousands"
+            )
         columns = [f"{self.path}: column {shown(name, 40)}" for name in wanted.values()]
         table = numbers_of(cells.str.replace(",", ".", literal=True), columns, self.first)
         bad = np.flatnonzero(np.abs(table) > VALUE)
@@ -158,23 +168,42 @@ class AbstractFormat(ABC):
 
     def increasing(self, sheet: Sheet, times: Numbers) -> Numbers:
         """The times, s, if they are those of rows that follow each other."""
-        if not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0):
+        steps = np.diff(times)
+        bad = np.flatnonzero(~np.isfinite(times) | np.append(False, steps <= 0))
+        if bad.size:
+            at = bad[0]
+            what = (
+                "has no time: give it one, or leave it out"
+                if not np.isfinite(times[at])
+                else "has the time of the row before: leave one of them out"
+                if steps[at - 1] == 0
+                else "goes back in time: sort the rows, or leave what is another recording out"
+            )
             raise InputError(
-                f"{sheet.path}: pictures must follow each other in time, each once: sort the rows"
+                f"{sheet.path}: rows must follow each other in time, each once, but row "
+                f"{sheet.first + at} {what}"
             )
         return times
 
-    def unit(self, sheet: Sheet, how: ImportSettings) -> str:
+    def unit(self, sheet: Sheet, how: ImportSettings, *, pixels: bool = True) -> str:
         """The unit of coordinates whose file does not say it, `px` with a given origin."""
-        if how.origin is not None:
+        if pixels and how.origin is not None:
             return "px"
         if how.unit is None:
+            upwards = (
+                ", or of px that are counted upwards --origin U,V, where their origin is in the "
+                "picture"
+            )
             raise InputError(
                 f"{sheet.path}: {self.program} does not say the unit of its coordinates: give "
-                "--unit m, cm or mm, or of px that are counted upwards --origin U,V, where their "
-                "origin is in the picture"
+                f"--unit m, cm or mm{upwards if pixels else ''}"
             )
         return how.unit
+
+
+def _plane(how: ImportSettings) -> tuple[str, ...]:
+    """The options of coordinates that are counted upwards: of px, or of lengths."""
+    return ("unit", "axes") if how.origin is None else ("origin",)
 
 
 class _Points:
@@ -257,7 +286,11 @@ class DeepLabCut(AbstractFormat):
         for place, (name, coordinate) in places:
             points.add(name, coordinate, table[place])
         deep = header["coords"].count("z") == len(points.found)
-        things = points.things(how, self.unit(sheet, how) if deep else "px", "xyz"[: 2 + deep])
+        # Its pixels are counted downwards, as those of a picture.
+        space = ("unit", "axes") if deep else ()
+        how.check_used(sheet.path, self.program, "frame_rate", "likelihood", *space)
+        unit = self.unit(sheet, how, pixels=False) if deep else "px"
+        things = points.things(how, unit, "xyz"[: 2 + deep])
         return ForeignTable(self.program, self.counted(sheet, how, table[0]), things)
 
 
@@ -271,6 +304,7 @@ class Sleap(AbstractFormat):
         return {"track", "frame_idx"} <= set(head[0]) and any(c.endswith(".x") for c in head[0])
 
     def read(self, sheet: Sheet, how: ImportSettings) -> ForeignTable:
+        how.check_used(sheet.path, self.program, "frame_rate", "likelihood")
         header = sheet.head[0]
         rows = sheet.rows(1, len(header))
         kinds = {place: cell.rpartition(".") for place, cell in enumerate(header)}
@@ -279,6 +313,8 @@ class Sleap(AbstractFormat):
         frame, track = header.index("frame_idx"), header.index("track")
         labels = {frame: "frame_idx", **{place: header[place] for place in kinds}}
         table = rows.numbers(labels)
+        order = np.arange(len(table[frame]), dtype=float)  # as tracks follow each other, too
+        self.increasing(sheet, np.where(np.isnan(table[frame]), np.nan, order))
         frames, at = np.unique(table[frame], return_inverse=True)
         tracks = np.array(rows.column(track).fill_null("").to_list())
         points = _Points(sheet.path)
@@ -308,6 +344,7 @@ class Anipose(AbstractFormat):
         return "fnum" in head[0] and any(cell.endswith("_error") for cell in head[0])
 
     def read(self, sheet: Sheet, how: ImportSettings) -> ForeignTable:
+        how.check_used(sheet.path, self.program, "frame_rate", "likelihood", "unit", "axes")
         header = sheet.head[0]
         names = {cell.removesuffix("_error") for cell in header if cell.endswith("_error")}
         kinds = {place: cell.rpartition("_") for place, cell in enumerate(header)}
@@ -322,7 +359,8 @@ class Anipose(AbstractFormat):
         for place, (name, _, coordinate) in kinds.items():
             points.add(name, coordinate, table[place])
         times = self.counted(sheet, how, table[frame])
-        return ForeignTable(self.program, times, points.things(how, self.unit(sheet, how), "xyz"))
+        unit = self.unit(sheet, how, pixels=False)
+        return ForeignTable(self.program, times, points.things(how, unit, "xyz"))
 
 
 class Kinovea(AbstractFormat):
@@ -343,6 +381,7 @@ class Kinovea(AbstractFormat):
         )
 
     def read(self, sheet: Sheet, how: ImportSettings) -> ForeignTable:
+        how.check_used(sheet.path, self.program, "frame_rate", "time_unit", *_plane(how))
         header = sheet.head[0]
         table = sheet.numbers(1, len(header), dict(enumerate(header)))
         names = [cell[:-2] for cell in header[1::2]]
@@ -367,30 +406,34 @@ class KinoveaText(AbstractFormat):
         return head[0][:1] == [self.form.removeprefix("the line ")]
 
     def read(self, sheet: Sheet, how: ImportSettings) -> ForeignTable:
-        tracks: dict[str, dict[int, list[str]]] = {}
-        name = ""
+        how.check_used(sheet.path, self.program, "frame_rate", "time_unit", *_plane(how))
+        tracks: list[tuple[str, dict[int, list[str]]]] = []
+        name, begun = "", False
         for number, line in enumerate(sheet.lines[1:], 2):
             cells = line.decode().split()
             if cells[:1] == ["#"]:
-                name = " ".join(cells[1:])
+                name, begun = " ".join(cells[1:]), False
             elif not cells:
-                name = ""
+                name, begun = "", False
             elif cells[0] != "#T":
-                name = name or f"track {len(tracks) + 1}"
                 if len(cells) != 3:
                     ragged(sheet.path, number, len(cells), 3)
-                tracks.setdefault(name, {})[number] = cells
+                if not begun:
+                    tracks.append((name or f"track {len(tracks) + 1}", {}))
+                begun = True
+                tracks[-1][1][number] = cells
         if not tracks:
             raise InputError(f"{sheet.path} has no rows: it must have pictures, so add them")
-        found = {}
-        for name, rows in tracks.items():
+        found = []
+        for name, rows in tracks:
             series = pl.Series("", [cell for row in rows.values() for cell in row])
-            table = Rows(sheet.path, series, 3, min(rows)).numbers({0: "T", 1: "X", 2: "Y"})
+            sheet.first = min(rows)
+            table = Rows(sheet.path, series, 3, sheet.first).numbers({0: "T", 1: "X", 2: "Y"})
             self.increasing(sheet, table[0])
-            found[name] = table
-        times = np.unique(np.concatenate([table[0] for table in found.values()]))
+            found.append((name, table))
+        times = np.unique(np.concatenate([table[0] for _, table in found]))
         points = _Points(sheet.path)
-        for name, table in found.items():
+        for name, table in found:
             for place, letter in ((1, "x"), (2, "y")):
                 values = np.full(len(times), np.nan)
                 values[np.searchsorted(times, table[0])] = table[place]
@@ -439,7 +482,9 @@ class Tracker(AbstractFormat):
             else:
                 pixels.add(f"{name}/pixel", kind[-1], table[place])
         things: dict[str, list[ForeignColumn]] = {}
-        if points.found and (how.unit or how.origin or not pixels.found):
+        measured = points.found and (how.unit or how.origin or not pixels.found)
+        how.check_used(sheet.path, self.program, "frame_rate", *(_plane(how) if measured else ()))
+        if measured:
             things |= points.things(how, self.unit(sheet, how))
         # Those are counted from the upper left corner, wherever the origin is.
         things |= pixels.things(ImportSettings(), "px")
@@ -480,12 +525,16 @@ class Motive(AbstractFormat):
             for place in places
         }
         labels = {place: f"{called[place]} {axes[place]}" for place in places}
-        table = sheet.numbers(line + 1, len(axes), {0: "Frame", 1: "Time (Seconds)", **labels})
+        # The last column may be an error, which has no axis.
+        width = max(map(len, (axes, parts, names)))
+        table = sheet.numbers(line + 1, width, {0: "Frame", 1: "Time (Seconds)", **labels})
         points = _Points(sheet.path)
         for place in places:
             points.add(called[place], axes[place].lower(), table[place])
         meta = dict(zip(sheet.head[0][::2], sheet.head[0][1::2], strict=False))
-        unit = self._units.get(meta.get("Length Units", "").lower()) or self.unit(sheet, how)
+        unit = self._units.get(meta.get("Length Units", "").lower())
+        how.check_used(sheet.path, self.program, "frame_rate", "axes", *([] if unit else ["unit"]))
+        unit = unit or self.unit(sheet, how, pixels=False)
         things = points.things(how, unit, ("x", "z", "-y"))
         if how.frame_rate is None:
             times = self.increasing(sheet, table[1])
@@ -500,6 +549,7 @@ class Phyphox(AbstractFormat):
     program = "phyphox"
     form = 'the columns Time (s), "Gyroscope x (rad/s)" or "Acceleration x (m/s^2)"'
     _cell: ClassVar = re.compile(r"(?P<name>.*?)(?: (?P<axis>[xyz]))? \((?P<unit>[^()]+)\)")
+    _without_g: ClassVar = re.compile("linear|without g", re.IGNORECASE)
     _quantities: ClassVar = {
         "rad/s": ("angular_velocity", 1.0),
         "°/s": ("angular_velocity", np.pi / 180),
@@ -516,7 +566,13 @@ class Phyphox(AbstractFormat):
         )
 
     def read(self, sheet: Sheet, how: ImportSettings) -> ForeignTable:
+        how.check_used(sheet.path, self.program, "frame_rate")
         header = sheet.head[0]
+        if header.count(header[0]) > 1:
+            raise InputError(
+                f"{sheet.path} has the column {header[0]!r} {header.count(header[0])} times: put "
+                "the columns of each into a file of their own"
+            )
         found = {p: m for p, cell in enumerate(header) if (m := self._cell.fullmatch(cell))}
         found = {p: m for p, m in found.items() if m["unit"] in self._quantities}
         labels = {0: header[0], **{place: header[place] for place in found}}
@@ -525,6 +581,8 @@ class Phyphox(AbstractFormat):
         things: dict[str, list[ForeignColumn]] = {}
         for place, match in found.items():
             quantity, factor = self._quantities[match["unit"]]
+            if quantity == "acceleration" and self._without_g.search(match["name"]):
+                quantity = "linear_acceleration"
             column = ForeignColumn(match["axis"] or "", quantity, factor * table[place][timed])
             things.setdefault(match["name"], []).append(column)
         return ForeignTable(self.program, self.timed(sheet, how, table[0][timed]), things)
@@ -540,6 +598,7 @@ class ColumnTable(AbstractFormat):
         return len(head[0]) > 1 and any(cell in how.rename or _is_column(cell) for cell in head[0])
 
     def read(self, sheet: Sheet, how: ImportSettings) -> ForeignTable:
+        how.check_used(sheet.path, self.program, "frame_rate", "rename")
         header = sheet.head[0]
         for old in how.rename:
             if old not in header:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..runtime.text import InputError
 from ..schema import (
     AIR,
     AT_REST,
@@ -28,8 +29,9 @@ from ..schema import (
     CamerasSection,
     MuscleSection,
 )
-from ._channels import Channel
+from ._channels import Channel, parse_columns
 from ._run import Run
+from ._table import column_names
 
 Values = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
@@ -415,15 +417,28 @@ def falls(look: Look) -> Iterator[Oddity]:
         if not (np.ptp(inputs) > 0 and cells.span > 0):
             continue
         if np.corrcoef(inputs, cells.values)[0, 1] < -0.3:
-            file = shlex.quote(look.naming.source)
             yield Oddity(
                 "signs",
                 f"{look.of(cells.channel)} falls where its input rises",
-                f"giajax import {file} --flip {name} --out turned.csv"
-                if look.naming.columns
-                else f"change the sign of {name}",
+                _turned(look, name),
                 (name,),
             )
+
+
+def _turned(look: Look, name: str) -> str:
+    """How the sign of a channel is changed: by a command, where it is one of a file."""
+    path = look.run.path
+    if path is None or path.suffix.lower() != ".csv":
+        return f"change the sign of {name}"
+    does = f"giajax import {shlex.quote(str(path))} --flip {name} --out turned.csv"
+    try:
+        parse_columns(column_names(path))
+    except InputError:
+        does += ", with the same --rename"
+    if path.with_suffix(".toml").exists():
+        less = "" if look.run.definition.sha256 is None else " without its sha256"
+        does += f", and copy {path.stem}.toml to turned.toml{less}"
+    return does
 
 
 def _turns_back(look: Look) -> bool:

@@ -144,8 +144,8 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
         notes.append(f"left out because they bend more than they move: {', '.join(found.left_out)}")
     if settled := expects.record.settled:
         notes.append(
-            f"the first {settled:.3g} s, in which the arm still came to rest, were left out: a "
-            "skip of 0 keeps them"
+            f"the first {settled:.3g} s, which are unlike the rest or before the last command, "
+            "were left out: a skip of 0 keeps them"
         )
     if filled := expects.record.filled:
         notes.append(f"{filled:.1%} of the cells were empty and are filled by straight lines")

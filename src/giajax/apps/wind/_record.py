@@ -94,7 +94,7 @@ class Resting:
         noise: for each channel the deviation of its white noise, and that of its noise with a
             memory with its time (s), SI; None where nothing is stated.
         filled: share of the cells that were empty.
-        settled: after how long the arm had come to rest, s, where that was looked for.
+        settled: after how long nothing was unlike the rest, s, where that was looked for.
     """
 
     names: tuple[str, ...]
@@ -193,10 +193,11 @@ _BY_CHANCE = 1e-3  # that a record without a transient loses its beginning
 
 
 def _settled(run: Run, times: np.ndarray) -> float:
-    """After how long the arm has come to rest, s: in which the record is unlike its second half.
+    """How long a record is unlike its second half, s, such as an arm that still comes to rest.
 
     After the last command, mean and deviation of each channel in blocks are compared with those of
-    the blocks of the second half, by Student's distribution.
+    the blocks of the second half, by Student's distribution; but not where a block is shorter than
+    two correlation times, because blocks that depend on each other are unlike too often.
     """
     moving = [np.abs(column - column[-1]) > _STILL for column in run.commands.values()]
     rows = np.flatnonzero(np.any(moving, axis=0)) if moving else np.array([], dtype=int)
@@ -206,6 +207,9 @@ def _settled(run: Run, times: np.ndarray) -> float:
     if length < 4:
         return begun
     table = np.stack([*run.observations.values()], axis=1)[first : first + _BLOCKS * length]
+    # Two of them, by the sum of squared correlations, which noise makes a quarter too large.
+    if length < 1.6 * _correlation(table[len(table) // 2 :], 2 * length):
+        return begun
     blocks = np.ma.masked_invalid(table.reshape(_BLOCKS, length, -1))
     spread = np.log(np.maximum(blocks.std(axis=1), 1e-300))
     told = np.ma.concatenate([blocks.mean(axis=1), spread], axis=1)
@@ -219,6 +223,15 @@ def _settled(run: Run, times: np.ndarray) -> float:
     # As long again, in which what is left of it decays below what can be seen.
     until = min(2 * int(np.argmin(np.append(odd[:half], False))), half)
     return float(times[first + until * length] - times[0])
+
+
+def _correlation(table: np.ndarray, lags: int) -> float:
+    """How many rows depend on each other, at most of the channels."""
+    known = np.ma.masked_invalid(table)
+    about = (known - known.mean(axis=0)).filled(0.0)
+    power = np.abs(np.fft.rfft(about, 2 * len(about), axis=0)) ** 2
+    alike = np.fft.irfft(power, axis=0)[:lags]
+    return float(np.max(2 * np.sum((alike / np.maximum(alike[0], 1e-300)) ** 2, axis=0) - 1))
 
 
 def _command(model: ArmModel, run: Run, kept: np.ndarray) -> np.ndarray:
