@@ -10,6 +10,7 @@ import contextlib
 import copy
 import csv
 import io
+import itertools
 import json
 import math
 import os
@@ -25,6 +26,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import polars as pl
 import pytest
 
 from giajax.apps.driving import read_pad
@@ -140,13 +142,25 @@ COMMANDS = {
     "explain --config run_fit.toml --out e --force --max-steps 1 --no-figures --quiet": [
         "run_fit.toml"
     ],
+    "check flat.parquet --json": ["flat.parquet"],
+    "posterior fit --chains 1 --draws 8 --out p --force --quiet": ["fit/result.json"],
+    "hysteresis --out h --travel 40 --seed 1 --force --quiet": ["a word"],
+    "simulate --arm arm.toml --command log.csv --out s.csv --force": ["log.csv"],
+    "view resting.csv --out v.html --force": ["resting.csv", "resting.toml"],
     "explain --resume explained --max-steps 1 --no-figures --quiet": [
         "explained/explain.jsonl",
         "explained/fits/first.json",
     ],
 }
-# Drawn four times as often: they do little but read, so that what they have read is compared.
+# Three times each: they do little but read, so that what they have read is compared.
 OFTEN = ("check", "import", "compare", "parameters", "drive")
+# One after the other, so that none is left out; only the damage is drawn.
+PAIRS = [
+    (command, damaged)
+    for command, files in COMMANDS.items()
+    for damaged in files * (3 if command.startswith(OFTEN) else 1)
+]
+random.Random(0).shuffle(PAIRS)
 # What takes long is not computed: the command ends there with a sentence.
 LONG = (
     ("giajax.apps.mission", "Mission.fly"),
@@ -154,6 +168,8 @@ LONG = (
     ("giajax.apps.design", "design_experiment"),
     ("giajax.apps.filling", "fill"),
     ("giajax.apps.wind", "fit_wind"),
+    ("giajax.apps.experiments", "one_link"),
+    ("giajax.studies", "posterior"),
 )
 
 
@@ -191,6 +207,8 @@ def home(tmp_path_factory):
     ):
         test_bags.write_bag(home, test_bags.TOPICS, name=name, plugin=plugin)
     shutil.move(next((home / "m").glob("*.mcap")), home / "bag.mcap")
+    pl.read_csv(home / "run.csv").write_parquet(home / "flat.parquet")
+    shutil.copy(home / "run.toml", home / "flat.toml")
     with contextlib.chdir(home):
         words = "--no-figures --quiet"
         for command in (
@@ -277,14 +295,18 @@ def toml(value):
     )
 
 
-def with_other_cells(data, rng):
+def with_other_cells(data, separator, rng):
     lines = data.split(b"\n")
     for _ in range(rng.choice([1, 1, 2])):
         row = rng.randrange(len(lines) - 1)
-        cells = lines[row].split(b",")
+        cells = lines[row].split(separator)
         cells[rng.randrange(len(cells))] = rng.choice(CELLS).encode()
-        lines[row] = b",".join(cells)
+        lines[row] = separator.join(cells)
     return b"\n".join(lines)
+
+
+TABLES = (".csv", ".txt")
+PLAIN = (*TABLES, ".toml", ".json", ".jsonl")
 
 
 def damage(path, rng):
@@ -301,10 +323,11 @@ def damage(path, rng):
             path.symlink_to("/dev/zero" if where == "zero" else "nowhere")
         elif where != "gone":
             path.write_bytes(b"" if where == "empty" else data.decode().encode("utf-16"))
-    elif how < (0.2 if kind == ".csv" else 0.4) or kind not in (".csv", ".toml", ".json", ".jsonl"):
+    elif how < (0.2 if kind in TABLES else 0.4) or kind not in PLAIN:
         path.write_bytes(cut(data, rng))
-    elif kind == ".csv":
-        path.write_bytes(with_other_cells(data, rng))
+    elif kind in TABLES:
+        separator = IMPORTED[path.name][0] if path.name in IMPORTED else ","
+        path.write_bytes(with_other_cells(data, separator.encode(), rng))
     elif kind == ".toml":
         table = changed(tomllib.loads(data.decode()), rng)
         path.write_text("".join(f"{json.dumps(k)} = {toml(v)}\n" for k, v in table.items()))
@@ -320,9 +343,9 @@ def damage(path, rng):
 # What a second reader, of the standard library alone, reads of it.
 
 
-def cells_of(path):
-    """Rows of a CSV file, header first."""
-    text = path.read_text(encoding="utf-8-sig").rstrip("\n")
+def cells_of(path, below=0):
+    """Rows of a CSV file below so many that say nothing, header first."""
+    text = path.read_text(encoding="utf-8-sig").rstrip("\n").split("\n", below)[-1]
     return list(csv.reader(io.StringIO(text), strict=True))
 
 
@@ -350,7 +373,7 @@ def same_table(path, _):
 
 
 def same_points(path, home):
-    (_, *names), (_, *kinds), *rows = cells_of(path)[1:]
+    (_, *names), (_, *kinds), *rows = cells_of(path, below=1)
     pairs = enumerate(zip(names, kinds, strict=True), 1)
     column = {pair: [row[at] for row in rows] for at, pair in pairs}
     header, *written = cells_of(home / "o.csv")
@@ -362,6 +385,82 @@ def same_points(path, home):
             found = [number(row[header.index(f"{part}_{axis}_px")]) for row in written]
             found = [value for value in found if not math.isnan(value)]
             np.testing.assert_allclose(found, wanted, rtol=1e-8)
+
+
+def same_import(path, home):
+    """Each column that was imported is one of the table, in another unit and place of the zero."""
+    separator, parts = IMPORTED[path.name]
+    text = path.read_text(encoding="utf-8-sig")
+    if path.name == "kinovea.txt":  # sections of rows
+        text = "t elbow.X elbow.Y\n" + text.partition("# elbow\n")[2].partition("\n\n")[0]
+        text = re.sub(" +", " ", text)
+    if separator != ",":
+        text = text.replace(",", ".")
+    rows = [next(csv.reader([line], delimiter=separator), []) for line in text.splitlines()]
+    # The names of points stand above those of axes, once for each or for its first axis.
+    first, up = {"tracker.txt": ("t", 1), "motive.csv": ("Frame", 3)}.get(path.name, ("", 0))
+    last = next(n for n, row in enumerate(rows) if not up or (row and row[0].strip() == first))
+    names = rows[last]
+    if up:
+        above = next((row for row in rows[:last] if "Name" in row[:2]), rows[last - up])
+        points = itertools.accumulate(above, lambda before, name: name or before)
+        names = [f"{point}.{name}" for point, name in zip(points, names, strict=False)]
+    body = rows[last + 1 :]
+    if path.name == "sleap.csv":  # pictures in any order
+        body.sort(key=lambda row: number(row[names.index("frame_idx")]))
+    header, *written = cells_of(home / "o.csv")
+
+    def column(name, otherwise=""):
+        at = names.index(name) if name in names else len(names)
+        cells = (row[at] if at < len(row) else otherwise for row in body)
+        return np.array([number(cell) for cell in cells])
+
+    for part, (name, factor, zero, score) in parts.items():
+        wanted = zero + factor * column(name)
+        score, least = (score, 0.6) if "score" in score else (score, -math.inf)
+        wanted = wanted[(column(score, "1") >= least) & ~np.isnan(wanted)]
+        found = [number(row[header.index(part)]) for row in written] if part in header else []
+        found = [value for value in found if not math.isnan(value)]
+        np.testing.assert_allclose(found, wanted, rtol=1e-8)
+
+
+DEGREES = 180 / math.pi
+# Separator of cells; by column of the run that of the table, factor, zero, and what is said of it.
+IMPORTED = {
+    "tracks.csv": (",", {"tip_u_px": ("m/0/X", 1, 0, ""), "tip_v_px": ("m/0/Y", -1, 10, "")}),
+    "tracker.txt": (
+        "\t",
+        {"link01_x_m": ("elbow.x", 0.01, 0, ""), "link01_z_m": ("elbow.y", 0.01, 0, "")},
+    ),
+    "sleap.csv": (
+        ",", {f"tip_{to}_px": (f"tip.{of}", 1, 0, "tip.score") for to, of in ("ux", "vy")}
+    ),
+    "anipose.csv": (
+        ",", {f"tip_{axis}_m": (f"tip-end_{axis}", 1e-3, 0, "tip-end_score") for axis in "xyz"}
+    ),
+    "motive.csv": (
+        ",",
+        {
+            "tip_x_m": ("Arm:Tip.X", 1e-3, 0, ""),
+            "tip_y_m": ("Arm:Tip.Z", -1e-3, 0, ""),
+            "tip_z_m": ("Arm:Tip.Y", 1e-3, 0, ""),
+        },
+    ),
+    "phyphox.csv": (
+        ",",
+        {
+            f"imu02_gyro_{xyz}_deg_per_s": (f"Gyroscope {xyz} (rad/s)", DEGREES, 0, "Time (s)")
+            for xyz in "xyz"
+        },
+    ),
+    "kinovea.txt": (
+        " ", {"link01_u_px": ("elbow.X", 1, 0, ""), "link01_v_px": ("elbow.Y", -1, 9, "")}
+    ),
+    "columns.csv": (
+        ";",
+        {"joint01_command_deg": ("joint01_command_deg", 1, 0, ""), "tip_z_m": ("tip", 1e-3, 0, "")},
+    ),
+}  # fmt: skip
 
 
 def same_definition(path, _):
@@ -399,36 +498,41 @@ SAME = {
     "run.csv": same_table, "loops.csv": same_table, "target.csv": same_table, "log.csv": same_table,
     "film.csv": same_points, "run_fit.toml": same_definition, "run.toml": same_definition,
     "arm.toml": same_definition, "result.json": same_result, "pad.csv": same_pad,
-    "plan.toml": same_plan,
+    "plan.toml": same_plan, **dict.fromkeys(IMPORTED, same_import),
 }  # fmt: skip
 
 
 # A case.
 
 
-class Hangs(BaseException):
+class Hangs(KeyboardInterrupt):
     """A case that takes longer than any may."""
 
 
 @contextlib.contextmanager
 def bounded():
-    """So many seconds of the processor, and so much more memory."""
+    """So many seconds of the processor, or of waiting, and so much more memory."""
 
     def stop(number, frame):
         raise Hangs
 
-    before, limits = signal.signal(signal.SIGPROF, stop), resource.getrlimit(resource.RLIMIT_AS)
+    numbers = signal.SIGPROF, signal.SIGALRM
+    before = [signal.signal(number, stop) for number in numbers]
+    limits = resource.getrlimit(resource.RLIMIT_AS)
     size, resident = (int(n) * resource.getpagesize() for n in STATM.read_text().split()[:2])
     REFERENCES.write_text("5")  # the highest from now on
     # What is compiled meanwhile is taken from the cache, or would be by the next case.
     signal.setitimer(signal.ITIMER_PROF, 12 * MOST_SECONDS)
+    signal.setitimer(signal.ITIMER_REAL, 36 * MOST_SECONDS)  # of one that waits
     resource.setrlimit(resource.RLIMIT_AS, (size + 8 * MOST_BYTES, limits[1]))
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
+        for timer in (signal.ITIMER_PROF, signal.ITIMER_REAL):
+            signal.setitimer(timer, 0)
         resource.setrlimit(resource.RLIMIT_AS, limits)
-        signal.signal(signal.SIGPROF, before)
+        for each, handler in zip(numbers, before, strict=True):
+            signal.signal(each, handler)
     (highest,) = re.findall(r"VmHWM:\s+(\d+) kB", STATUS.read_text())
     grown = 1024 * int(highest) - resident
     assert grown < MOST_BYTES, f"it took {grown:,} bytes"
@@ -437,10 +541,10 @@ def bounded():
 def try_one(seed, home, folder, seconds):
     """One case; what it was, in words."""
     rng = random.Random(seed)
-    command = rng.choices(list(COMMANDS), [1 + 3 * name.startswith(OFTEN) for name in COMMANDS])[0]
-    words, damaged = command.split(), rng.choice(COMMANDS[command])
+    command, damaged = PAIRS[seed % len(PAIRS)]
+    words = command.split()
     shutil.copytree(home, folder)
-    if rng.random() < 0.1:
+    if damaged == "a word" or rng.random() < 0.1:
         damaged = "a word"
         place = rng.randrange(1, len(words))
         words[place : place + 1] = [rng.choice(WORDS)]
@@ -521,5 +625,6 @@ def test_what_is_damaged_is_right_before(home, tmp_path, compiling):
             status, _, err = ended(command.split())
             assert status in (0, 1) or "this takes long" in err, (command, err)
         for name, same in SAME.items():
-            ended(next(c for c in COMMANDS if "film.csv" in c).split())
+            words = [c.split() for c in COMMANDS if c.startswith(f"import {name} ")]
+            ended(words[0] if words else ["check", "run.csv"])
             same(Path("fit" if name == "result.json" else ".") / name, Path())

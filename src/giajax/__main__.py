@@ -47,8 +47,9 @@ def _open_streams() -> None:
             if handle != number:
                 os.dup2(handle, number)
                 os.close(handle)
-            opened = os.fdopen(number, "w" if number else "r", encoding="utf-8")
-            setattr(sys, name, opened)
+            os.set_inheritable(number, True)
+            mode, errors = "w" if number else "r", "backslashreplace"
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", errors=errors))
         elif number and getattr(sys, name).errors == "strict":
             getattr(sys, name).reconfigure(errors="backslashreplace")
 

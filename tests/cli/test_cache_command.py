@@ -94,6 +94,18 @@ def test_a_folder_of_programs_is_this_accounts_own(tmp_path, variable):
     assert said.count("\n") == 1
 
 
+@pytest.mark.skipif(os.name != "posix", reason="of POSIX permissions")
+def test_a_folder_that_nobody_may_look_at_is_not_used(tmp_path):
+    assert process.is_private(tmp_path / "none")  # it is made
+    (tmp_path / "file").write_text("")
+    closed = tmp_path / "file" / "cache"  # as where the parent may not be entered
+    assert not process.is_private(closed)
+    found, said = configured(JAX_COMPILATION_CACHE_DIR=closed)
+    assert found == ["None", "False"]
+    assert said.count("\n") == 1
+    assert "cannot be entered" in said
+
+
 @pytest.mark.skipif(getattr(os, "geteuid", lambda: 1)() != 0, reason="only root gives files away")
 def test_a_folder_of_another_account_is_not_used(tmp_path):
     os.chown(tmp_path, 12345, -1)
@@ -102,14 +114,35 @@ def test_a_folder_of_another_account_is_not_used(tmp_path):
     assert "belongs to another" in said
 
 
-def test_a_damaged_cache_is_one_sentence(monkeypatch, capsys):
-    shown = []
-    monkeypatch.setattr("giajax.runtime.process._own_process", True)
-    show = process._say_of_cache(lambda *given: shown.append(given))
-    for name in ("jit_one", "jit_two"):
-        sentence = f"Error reading persistent compilation cache entry for '{name}': ZstdError: no"
-        show(UserWarning(sentence), UserWarning, "compiler.py", 782)
-    show(UserWarning("something else"), UserWarning, "file.py", 1)
-    err = capsys.readouterr().err
-    assert (len(shown), err.count("\n")) == (1, 1)
-    assert "cannot be read or written (ZstdError: no), and are compiled anew" in err
+COMPILE = (
+    "import warnings, giajax.runtime.process as p; p.own_process(); p.configure(); import jax\n"
+    "for power in (2, 3): print(jax.jit(lambda x: x**power)(3.0))\n"
+    "warnings.warn('something else')"
+)
+
+
+def test_a_damaged_cache_is_one_sentence(tmp_path):
+    environment = {
+        "JAX_COMPILATION_CACHE_DIR": str(tmp_path),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
+    }
+
+    def compiled():
+        ended = subprocess.run(
+            [sys.executable, "-c", COMPILE], capture_output=True, text=True, check=True,
+            env={**os.environ, **environment},
+        )  # fmt: skip
+        assert ended.stdout.split() == ["9.0", "27.0"]
+        *said, other = ended.stderr.splitlines()
+        assert other.endswith("UserWarning: something else")
+        return said
+
+    assert compiled() == []
+    entries = list(tmp_path.glob("jit_*-cache"))
+    assert len(entries) >= 2
+    for entry in entries:
+        entry.write_bytes(b"damaged")
+    (said,) = compiled()
+    assert said.startswith(f"giajax: compiled programs in {tmp_path} cannot be read or written (")
+    assert said.endswith("and are compiled anew: see giajax cache")

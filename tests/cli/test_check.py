@@ -7,6 +7,8 @@ import sys
 import pytest
 
 from giajax.cli import main
+from giajax.runtime.execution import run_tasks
+from giajax.runtime.tasks import Task
 
 pytestmark = pytest.mark.quick
 
@@ -150,15 +152,37 @@ def test_what_nobody_expects_is_a_sentence_and_a_file(run, tmp_path, capsys, mon
     assert main(["check", str(run)]) == 4
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
-    assert err.startswith(
-        "giajax: something went wrong that is not of the input (ZeroDivisionError ("
-    )
+    assert err.startswith("giajax: internal error (ZeroDivisionError (")
     (file,) = tmp_path.glob("giajax-*.txt")
     assert f"report it with {file}, which has the traceback" in err
     assert f" check {run}\n\nTraceback (most recent call last):\n" in file.read_text()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
     assert main(["check", str(run)]) == 4
-    assert "its traceback cannot be written (No such file or directory)" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert err.startswith("Traceback (most recent call last):\n")
+    assert "which cannot be written to a file (No such file or directory)" in err
+    # What a signal raised, as a foreign library passes it on.
+    monkeypatch.setattr("giajax.cli._commands.is_stopped", lambda: True)
+    assert main(["check", str(run)]) == 130
+    assert capsys.readouterr().err == "giajax: interrupted\n"
+
+
+def test_a_panic_of_a_library_is_a_sentence(run, tmp_path, capsys, monkeypatch):
+    """Polars raises it, and it is no `Exception`; in a task, it is the outcome of that."""
+
+    class PanicException(BaseException):
+        pass
+
+    def panic(*_):
+        raise PanicException("index out of bounds")
+
+    monkeypatch.setattr("giajax.recordings.describe", panic)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert main(["check", str(run)]) == 4
+    assert "internal error (PanicException (test_check.py, line " in capsys.readouterr().err
+    monkeypatch.setattr("os.getcwd", panic)
+    (outcome,) = run_tasks([Task("os:getcwd")])
+    assert (outcome.status, "PanicException" in outcome.message) == ("failed", True)
 
 
 def test_a_list_of_commands_and_each_of_their_helps_are_there(capsys):

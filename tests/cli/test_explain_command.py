@@ -68,6 +68,23 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
     before = len(list((explained[0] / "fits").iterdir()))
     assert len(list((folder / "fits").iterdir())) == before + 1
     assert not (folder / "explain.html").exists()
+    # A journal that says what none does is refused, and no file beyond the fits is read.
+    for line, why in (
+        ("[" * 5_000, "nested more than"),
+        ('{"name": "first"}', "it is no line of an explanation"),
+        ("[]", "is [], but must be an object"),
+        ('{"name": "first", "fit": "../../other.json"}', "it names no file of its fits"),
+        ('{"name": "first", "fit": 3}', "fit is 3, but must be text"),
+        ("\udcff", "not JSON"),
+    ):
+        text = "\n".join([lines[0], line, *lines[2:]])
+        (folder / "explain.jsonl").write_text(text, errors="surrogateescape")
+        status, out, error = giajax(*asked)
+        assert (status, out, error.count("\n")) == (2, "", 1)
+        assert "explain.jsonl" in error
+        assert why in error
+    (folder / "explain.jsonl").write_text(lines[0].rstrip("}") + ', "tries": 0}')
+    assert "has fewer tries than 1" in giajax(*asked)[2]
     # Of a budget that is over the steps are those so far, and what goes on says how.
     (folder / "explain.jsonl").write_text("\n".join(lines[:4]) + "\n")
     status, out, error = giajax(*asked[:-1], "--budget", "0.001s")

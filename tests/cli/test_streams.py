@@ -15,6 +15,7 @@ import pytest
 from giajax.cli import main
 from giajax.fitting import load_result
 from giajax.recordings import read_run, write_files
+from giajax.runtime.files import check_path
 from giajax.runtime.text import InputError
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="of a POSIX shell")
@@ -93,6 +94,21 @@ def test_a_terminal_of_few_characters(folder, variables):
     assert shell("giajax check kein-Prüfling.csv", **variables)[0] == 2
 
 
+REOPENED = (
+    "import os, subprocess, sys; from giajax.__main__ import _open_streams; _open_streams()\n"
+    "print('\\udcfc', file=sys.stdout); print(sys.stdout.errors)\n"
+    "assert all(map(os.get_inheritable, range(3)))"
+)
+
+
+def test_streams_that_were_closed_are_as_others(folder):
+    """Of all characters, and those of other programs that are begun."""
+    line = 'exec "$0" -c "$1" >&- <&-'
+    words = ["bash", "-c", line, sys.executable, REOPENED]
+    ended = subprocess.run(words, capture_output=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, b"")
+
+
 def test_a_name_that_is_not_utf_8_is_refused(folder):
     os.rename(b"run.csv", b"r\xfcn.csv")
     before = sorted(os.listdir(b"."))
@@ -102,6 +118,8 @@ def test_a_name_that_is_not_utf_8_is_refused(folder):
         assert (status, out) == (2, "")
         assert r"\udcfc" in err
         assert "is not UTF-8" in err
+    with pytest.raises(InputError, match="is not UTF-8"):  # nor by two halves of a character
+        check_path(os.fsdecode(b"\xc3/\xbc"))
     assert sorted(os.listdir(b".")) == before
 
 
@@ -183,12 +201,11 @@ def full_after(room, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("room", [0, 1, 3, 5])
+@pytest.mark.parametrize("room", [0, 1, 3, 4, 6, 8])
 def test_a_disk_that_is_full_after_the_result(folder, capsys, monkeypatch, room):
-    """It has the result alone, with its prediction, with some pictures."""
+    """It has the result alone, with its prediction, with its suspects, with some pictures."""
     full_after(room, monkeypatch)
-    words = ["fit", "--data", "run.csv", "--out", "out", "--no-suspects", "--report"]
-    status = main(words)
+    status = main(["fit", "--data", "run.csv", "--out", "out", "--self-test", "--report"])
     out, err = capsys.readouterr()
     assert "Traceback" not in err
     assert err.count("No space left on device") >= 1

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -198,4 +199,16 @@ def test_repetitions_are_on_the_page_of_their_fit_alone(result, run, tmp_path):
     other = dataclasses.replace(found, fitted={**fitted, path: 7.0})
     (tmp_path / "bootstrap.json").write_text(other.to_json())
     assert [section.id for section in sections(result, source)] == ["influence"]
+    # A damaged one is said in its place.
+    odd = dataclasses.replace(asked, parts=(dataclasses.replace(part, exact_widening={}),))
+    for text, why in (
+        ("{", r"this is no influence\.json of this version of giajax \(it is not JSON\)"),
+        (odd.to_json(), "its numbers do not agree"),
+    ):
+        (tmp_path / "influence.json").write_text(text)
+        (section,) = sections(result, source)
+        assert (section.id, len(section.warnings)) == ("influence", 1)
+        assert re.match(rf"influence\.json is damaged: {why}: ask for", section.warnings[0])
+    assert "influence.json is damaged" in Page(report_page(result, [run], source=source)).text
+    (tmp_path / "influence.json").write_text(asked.to_json())
     assert sections(dataclasses.replace(result, parameters={}), source) == []

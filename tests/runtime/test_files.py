@@ -8,7 +8,7 @@ import pytest
 
 from giajax import InputError
 from giajax.runtime.execution import run_tasks
-from giajax.runtime.files import part_of, read_bytes
+from giajax.runtime.files import part_of, read_bytes, written_to
 from giajax.runtime.tasks import Task
 from giajax.tasks import locked
 
@@ -38,8 +38,9 @@ def test_a_file_that_says_no_size_is_not_read_to_its_end():
         read_bytes(Path("/proc/self/maps"), 100)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="of POSIX locks")
 def test_what_a_killed_writer_left_is_removed_with_the_next_task_or_fit(tmp_path):
-    """But not what is being written, nor what nobody of giajax has named."""
+    """But not what nobody of giajax has named, nor what is new while others write there."""
 
     def leave(folder):
         names = {"old": part_of(folder / "a"), "new": part_of(folder / "b")}
@@ -54,7 +55,21 @@ def test_what_a_killed_writer_left_is_removed_with_the_next_task_or_fit(tmp_path
     for folder in (tmp_path / "tasks", tmp_path / "fit"):
         folder.mkdir()
         left |= {folder.name: leave(folder)}
+
+    def there(folder):
+        return {name for name, path in left[folder].items() if path.exists()}
+
+    with written_to(tmp_path / "tasks"):
+        assert there("tasks") == {"other"}
+        left["tasks"] = leave(tmp_path / "tasks")
+        run_tasks([Task("os:getcwd")], folder=tmp_path / "tasks")
+        assert there("tasks") == {"new", "other"}
     run_tasks([Task("os:getcwd")], folder=tmp_path / "tasks")
+    assert there("tasks") == {"other"}
     with locked(tmp_path / "fit"):
-        for names in left.values():
-            assert {name for name, path in names.items() if path.exists()} == {"new", "other"}
+        assert there("fit") == {"other"}
+        with written_to(tmp_path / "fit"):
+            pass
+    with written_to(tmp_path / "none" / "yet"):
+        assert (tmp_path / "none" / "yet").exists()
+    assert not (tmp_path / "none").exists()

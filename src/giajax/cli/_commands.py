@@ -283,22 +283,28 @@ def _ended(command: Any, arguments: list[str]) -> int:
         return _say(_usage(error), BAD_INPUT)
     except Ended as ended:
         return _say("interrupted", ended.status)
-    except Exception as error:
+    except (SystemExit, KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:  # Polars' PanicException is no Exception
+        if is_stopped():  # what the signal raised came out of a foreign library as this
+            return _say("interrupted", stopped_status())
         return _say(_unexpected(error, arguments), BROKEN)
     # Without standalone mode typer returns the status of `typer.Exit`, else what the command did.
     return result if isinstance(result, int) else 0
 
 
-def _unexpected(error: Exception, arguments: list[str]) -> str:
+def _unexpected(error: BaseException, arguments: list[str]) -> str:
     """What no command expects, as a sentence, and its traceback in a file."""
-    what = f"something went wrong that is not of the input ({error_in_words(error)})"
+    what = f"internal error ({error_in_words(error)})"
     trace = "".join(traceback.format_exception(error))
     try:
         handle, path = tempfile.mkstemp(prefix="giajax-", suffix=".txt")
         with open(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
             file.write(f"giajax {__version__} {shlex.join(arguments)}\n\n{trace}")
     except OSError as full:
-        return f"{what}, and its traceback cannot be written ({full.strerror}): free some space"
+        print(trace, end="", file=sys.stderr)
+        why = f"which cannot be written to a file ({full.strerror})"
+        return f"{what}: report it with the traceback above, {why}"
     return f"{what}: report it with {path}, which has the traceback"
 
 

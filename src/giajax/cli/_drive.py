@@ -1,5 +1,6 @@
 """`giajax drive` and `view`: an arm in a browser, driven or shown, and what a pad did."""
 
+import functools
 import itertools
 import os
 import sys
@@ -150,13 +151,14 @@ def save(
     """
     try:
         run = session.record.run(channels, name=out.stem, **how)
+        write_and_say(out, run, 12, force, f"{session.time:.1f} s driven, ")
     except InputError as error:
-        typer.echo(f"giajax: {error}", err=True)
-        unfinished.remove()
-        return
-    if unfinished.error:
-        typer.echo(f"giajax: {unfinished.error}, which a kill would have left", err=True)
-    write_and_say(out, run, 12, force, f"{session.time:.1f} s driven, ")
+        if session.record.is_still:
+            typer.echo(f"giajax: {error}", err=True)
+            unfinished.remove()
+            return
+        unfinished.add()
+        raise InputError(f"{error}; what was kept of the drive is in {unfinished.path}") from None
     unfinished.remove()
     if session.lost:
         typer.echo(f"the simulation was {session.lost:.1f} s behind the clock, which were left out")
@@ -268,7 +270,8 @@ def drive(
     )
     if table is not None:
         check_length(float(np.ptp(table["time_s"])), session.interval)
-    unfinished = Unfinished(session.record, part, origin=origin(context))
+    say = functools.partial(typer.echo, err=True)
+    unfinished = Unfinished(session.record, part, origin=origin(context), complain=say)
     try:
         if table is not None:
             replay_table(session, table, unfinished)

@@ -206,7 +206,7 @@ def write_or_print(result: "FitResult", runs: "Sequence[Run]", folder: Path) -> 
     except InputError as error:
         path, text = folder / "result.json", result.to_json()
         with contextlib.suppress(OSError):
-            if path.read_text(encoding="utf-8") == text:
+            if path.read_bytes() == text.encode():
                 _complain(f"the result is written, but {error}")
                 return [path]
         for stream in (sys.stdout, sys.stderr):
@@ -299,7 +299,15 @@ def run_fit(
     """Fit a task, write its result and show it, by the options of these names; the exit status."""
     configure()
     from ..recordings import stored_result, write_files
-    from ..report import PAGE, check_figures, check_folder, check_page, report_page, write_figures
+    from ..report import (
+        PAGE,
+        check_figures,
+        check_folder,
+        check_page,
+        report_page,
+        write_figures,
+        write_result,
+    )  # fmt: skip
     from ..studies import choice_hint
     from ..tasks import compared, version_note, with_warm_start
 
@@ -357,7 +365,8 @@ def run_fit(
     for sentence in untested:
         _complain(f"{sentence}: giajax suspects {shlex.quote(str(task.out))}")
     if asked is not result:
-        files = write_or_print(asked, ready.runs, task.out)
+        with _beside_result():
+            files = write_result(asked, ready.runs, task.out, figures=False)
     if shown:
         show_result(asked, task.definition)
         if before is not None:
@@ -371,7 +380,8 @@ def run_fit(
         with _beside_result():
             files += write_figures(asked, ready.runs, task.out, held_out=ready.held_out_runs)
     if self_test:
-        files += repeated_fit(result, ready.runs, task.out, shown=shown)
+        with _beside_result():
+            files += repeated_fit(result, ready.runs, task.out, shown=shown)
     if report:
         with _beside_result():
             source, held_out = task.out / "result.json", ready.held_out_runs

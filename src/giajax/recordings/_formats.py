@@ -52,8 +52,10 @@ class Sheet:
             raise InputError(
                 f"{self.path} has a header but no rows: it must have pictures, so add them"
             )
-        (first,) = csv_rows(lines[0], self.path, above + 1, self.separator)
-        stride = len(first)
+        first = csv_rows(lines[0], self.path, above + 1, self.separator)
+        stride = len(first[0]) if first else 0  # of an empty line there is none
+        if stride < width:
+            ragged(self.path, above + 1, stride, width)
         cells = split_cells(b"\n".join(lines), stride, self.path, above + 1, self.separator)
         cells = cells.str.strip_chars().replace("", None)
         rows = Rows(self.path, cells, stride, above + 1)
@@ -61,8 +63,6 @@ class Sheet:
             filled = rows.column(place).is_not_null()
             if filled.any():
                 ragged(self.path, above + 1 + int(filled.arg_max() or 0), stride, width)
-        if stride < width:
-            ragged(self.path, above + 1, stride, width)
         return rows
 
     def numbers(self, above: int, width: int, wanted: Mapping[int, str]) -> dict[int, Numbers]:

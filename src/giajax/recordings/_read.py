@@ -1,5 +1,6 @@
 """Reading a run, taking some of its channels or windows of time, and writing one."""
 
+import contextlib
 import dataclasses
 import hashlib
 import itertools
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..runtime.files import check_path, part_of
+from ..runtime.files import check_path, part_of, written_to
 from ..runtime.text import InputError
 from ..schema import InitialSection
 from ._channels import Channel, Naming, infer_model, match_name, order
@@ -430,21 +431,24 @@ def write_files(contents: Mapping[Path, bytes], *, force: bool) -> None:
     """
     check_output_files(contents, force=force)
     temporary: dict[Path, Path] = {}
-    try:
-        for path, data in contents.items():
-            part = part_of(path)
-            with part.open("xb") as file:
-                temporary[path] = part
-                file.write(data)
-        for path, part in temporary.items():
-            os.replace(part, path)
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be written ({error.strerror}): give another name"
-        ) from None
-    finally:
-        for part in temporary.values():
-            part.unlink(missing_ok=True)
+    with contextlib.ExitStack() as folders:
+        for folder in {path.parent for path in contents}:
+            folders.enter_context(written_to(folder))
+        try:
+            for path, data in contents.items():
+                part = part_of(path)
+                with part.open("xb") as file:
+                    temporary[path] = part
+                    file.write(data)
+            for path, part in temporary.items():
+                os.replace(part, path)
+        except OSError as error:
+            raise InputError(
+                f"{path} cannot be written ({error.strerror}): give another name"
+            ) from None
+        finally:
+            for part in temporary.values():
+                part.unlink(missing_ok=True)
 
 
 def _csv(

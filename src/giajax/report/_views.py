@@ -95,19 +95,32 @@ def view_of(record: R) -> RecordView[R]:
 def sections(result: FitResult, source: Path | None) -> list[PageSection]:
     """The sections of a page on the records that lie beside a result, the `source`, if it has one.
 
-    What is damaged or of another fit has none.
+    What is of another fit has none; in place of what is damaged is a sentence.
     """
     if source is None:
         return []
     _make_views()
     found = []
     for view in sorted(_VIEWS.values(), key=lambda view: view.place):
+        path, remedy = source.parent / view.record.file, view.record.remedy
         try:
-            record = view.record.of_json(read_bytes(source.parent / view.record.file, RESULT_BYTES))
+            record = view.record.of_json(read_bytes(path, RESULT_BYTES))
             if record.is_of(result):
                 found.append(view.section(record, result, source.parent))
-        except (OSError, InputError):
+        except FileNotFoundError:
             continue
-        except (LookupError, TypeError, ValueError, ArithmeticError):  # its numbers do not agree
-            continue
+        except InputError as error:
+            found.append(_damaged(path, str(error)))
+        except OSError as error:
+            found.append(_damaged(path, f"it cannot be read ({error.strerror}): mend that"))
+        except (LookupError, TypeError, ValueError, ArithmeticError):
+            found.append(_damaged(path, f"its numbers do not agree: {remedy}"))
     return found
+
+
+def _damaged(path: Path, why: str) -> PageSection:
+    sentence = f"{path.name} is damaged: {why}"
+    heading = f"Left out: {path.name}"
+    return PageSection(
+        id=path.stem, name=path.stem, heading=heading, table=Table([], []), warnings=(sentence,)
+    )

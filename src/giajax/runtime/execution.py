@@ -23,7 +23,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal, TypedDict, TypeVar
 
-from .files import check_path, remove_stale_parts
+from .files import check_path, written_to
 from .plugins import load_plugin, plugins
 from .process import CORES_VARIABLE, HANGUP, configure, is_own_process, is_stopped, own_process
 from .records import plain_data
@@ -78,7 +78,9 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
         value = plain_data(task.call())
     except InputError as error:
         message = str(error)
-    except Exception as error:
+    except (SystemExit, KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:  # Polars' PanicException is no Exception
         message = error_in_words(error)
     # A fit that is stopped returns, and what it returns is no result.
     if is_stopped():
@@ -318,15 +320,15 @@ def run_tasks(
     if folder is not None:
         folder = Path(folder).absolute()
         check_path(folder)
-        remove_stale_parts(folder)
     study = _Study(executor or InProcess(), folder, progress, {task.key: task for task in tasks})
-    try:
-        study.run()
-    except KeyboardInterrupt:
-        study.stop()
-    except InputError:
-        study.stop()
-        raise
+    with contextlib.nullcontext() if folder is None else written_to(folder):
+        try:
+            study.run()
+        except KeyboardInterrupt:
+            study.stop()
+        except InputError:
+            study.stop()
+            raise
     known = study.known
     return [known.get(task.key) or Outcome(task.key, "stopped") for task in tasks]
 

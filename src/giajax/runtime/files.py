@@ -8,12 +8,17 @@ import secrets
 import stat
 import time
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from .limits import DEPTH, NAME_BYTES, WHOLE
 from .text import InputError, shown
+
+try:
+    import fcntl
+except ImportError:  # of Windows
+    fcntl = None  # type: ignore[assignment]
 
 _DEVICES = {
     stat.S_IFIFO: "a pipe",
@@ -32,7 +37,7 @@ def check_path(path: str | Path) -> None:
     """
     try:
         names = [os.fsencode(name) for name in Path(path).parts]
-        b"".join(names).decode()
+        b"/".join(names).decode()
         if any(len(name) > NAME_BYTES for name in names):
             longest = max(names, key=len).decode(errors="replace")
             raise InputError(
@@ -129,12 +134,46 @@ _PART = re.compile(r"\.[0-9a-f]{32}\.part")
 _STALE_S = 60.0  # a writer that lives adds to its file sooner, or has moved it
 
 
-def remove_stale_parts(folder: Path) -> None:
-    """Remove from a folder what writers that were killed left unfinished."""
-    for path in folder.glob(".*.part"):
+@contextlib.contextmanager
+def written_to(folder: Path) -> Iterator[None]:
+    """Write to a folder, from which what killed writers left unfinished is removed before.
+
+    Several blocks may do so at once: what is there may be of another one then, as where the system
+    has no locks, and what is new stays. Empty folders that were made for it go again.
+    """
+    made: list[Path] = []
+    alone, descriptor = False, None
+    try:
         with contextlib.suppress(OSError):
-            if _PART.fullmatch(path.name) and time.time() - path.lstat().st_mtime > _STALE_S:
-                path.unlink()
+            made = [path for path in (folder, *folder.parents) if not path.exists()]
+            folder.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(folder, os.O_RDONLY)
+            if fcntl is not None:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                alone = True
+        for path in folder.glob(".*.part"):
+            with contextlib.suppress(OSError):
+                old = alone or time.time() - path.lstat().st_mtime > _STALE_S
+                if old and _PART.fullmatch(path.name):
+                    path.unlink()
+        if fcntl is not None and descriptor is not None:
+            # Of another block that looks just now; but a script may have the folder for long.
+            for _ in range(10):
+                try:
+                    fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    time.sleep(0.005)
+                    continue
+                except OSError:
+                    pass
+                break
+        yield
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
+        for empty in made:
+            with contextlib.suppress(OSError):
+                empty.rmdir()
 
 
 def write_durably(path: Path, data: bytes) -> None:

@@ -134,12 +134,12 @@ def configure() -> None:
         with contextlib.suppress(OSError):
             directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         for folder in (directory, directory / PROGRAMS):
-            if folder.exists() and not is_private(folder):
+            if not is_private(folder):
                 jax.config.update("jax_compilation_cache_dir", None)
                 _note(
-                    f"{folder} can be written by others, or belongs to another, so that programs "
-                    "from there may do anything: none is used or kept there; chmod go-w it, or "
-                    "set JAX_COMPILATION_CACHE_DIR to another folder"
+                    f"{folder} can be written by others, or belongs to another, or cannot be "
+                    "entered, so that programs from there may do anything: none is used or kept "
+                    "there; chmod go-w it, or set JAX_COMPILATION_CACHE_DIR to another folder"
                 )
                 return
         if _own_process:
@@ -155,10 +155,15 @@ def configure() -> None:
 
 
 def is_private(folder: Path) -> bool:
-    """Whether nobody else can write into a folder, which is there."""
+    """Whether nobody else can write into a folder, or it is not there."""
     if not hasattr(os, "geteuid"):
         return True
-    state = folder.stat()
+    try:
+        state = folder.stat()
+    except FileNotFoundError:
+        return True
+    except OSError:  # of a parent that may not be entered
+        return False
     return state.st_uid == os.geteuid() and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 

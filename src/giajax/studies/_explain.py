@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import json
+import re
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -32,7 +33,7 @@ from ..recordings import (
     write_files,
     write_run,
 )
-from ..runtime.files import read_bytes
+from ..runtime.files import parse_json, read_bytes
 from ..runtime.limits import JOURNAL_BYTES
 from ..runtime.process import stop_if_asked
 from ..runtime.records import from_plain, plain_data
@@ -209,6 +210,11 @@ class Kept(AbstractFits):
         if not (self.lines and {**self.lines[0], **first} == self.lines[0]):
             self.lines = [first]
         self.lines[0] |= {name: value for name, value in asked.items() if value is not None}
+        damaged = f"{JOURNAL if folder is None else folder / JOURNAL} is damaged"
+        for line in self.lines[1:]:
+            from_plain(_Line, line, damaged, _REMEDY)
+        before = {name: self.lines[0].get(name) for name in asked}
+        self.asked = from_plain(_Asked, before, damaged, _REMEDY)
 
     def _next(self, name: str) -> dict[str, Any] | None:
         if self.at < len(self.lines) and self.lines[self.at].get("name") == name:
@@ -235,7 +241,7 @@ class Kept(AbstractFits):
     def suspects(self, result: FitResult, runs: Sequence[Run]) -> Suspects:
         """As of `Fits`, or of the journal."""
         if (line := self._next("suspects")) is not None:
-            return from_plain(Suspects, line["suspects"], f"{JOURNAL} is damaged", "remove it")
+            return from_plain(Suspects, line["suspects"])
         self.say("testing what the fit held or left out ...")
         found = Fits().suspects(result, runs)
         self._keep({"name": "suspects", "suspects": found})
@@ -244,7 +250,7 @@ class Kept(AbstractFits):
     def refit(self, name: str, result: FitResult, runs: Sequence[Run], **changed: Any) -> FitResult:
         """As of `Fits`, or of the journal."""
         if (line := self._next(name)) is not None:
-            if "refused" in line:
+            if line.get("refused") is not None:
                 raise InputError(line["refused"])
             assert self.folder is not None
             return load_result(self.folder / FITS / line["fit"])
@@ -268,6 +274,36 @@ class Kept(AbstractFits):
         return load_result(path)
 
 
+_REMEDY = "remove it, and explain the data anew"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Asked:
+    tries: int | None
+    max_steps: int | None
+
+    def __post_init__(self) -> None:
+        if self.tries is not None and self.tries < 1:
+            raise ValueError("has fewer tries than 1")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Line:
+    """What was computed: the suspects, or a fit by the name of its file, or why there is none."""
+
+    name: str
+    suspects: Suspects | None = None
+    fit: str | None = None
+    refused: str | None = None
+
+    def __post_init__(self) -> None:
+        said = [self.suspects is not None, self.fit is not None, self.refused is not None]
+        if sum(said) != 1 or said[0] != (self.name == "suspects"):
+            raise ValueError("is no line of an explanation")
+        if self.fit is not None and re.fullmatch(r"[0-9]+\.json", self.fit) is None:
+            raise ValueError("names no file of its fits")
+
+
 def _read(path: Path) -> list[dict[str, Any]]:
     """The whole lines of a journal; none where there is none."""
     try:
@@ -277,9 +313,12 @@ def _read(path: Path) -> list[dict[str, Any]]:
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}): mend that") from None
     try:
-        return [dict(json.loads(line)) for line in data.splitlines()]
-    except (ValueError, TypeError):
-        raise InputError(f"{path} is damaged: remove it, and explain the data anew") from None
+        lines = [parse_json(line.decode(), path) for line in data.splitlines()]
+    except InputError:
+        raise
+    except ValueError:
+        raise InputError(f"{path} is damaged (it is not JSON): {_REMEDY}") from None
+    return from_plain(list[dict[str, Any]], lines, f"{path} is damaged", _REMEDY)
 
 
 def explain(
@@ -328,7 +367,7 @@ def explain(
 
     Raises:
         InputError: other runs than those of the result, `tries` below 1, or a folder that cannot be
-            written.
+            written or has a damaged journal.
     """
     if tries is not None and tries < 1:
         raise InputError(f"{tries} suspects cannot be tried at each step: give 1 or more")
@@ -343,8 +382,8 @@ def explain(
     }
     said = {"tries": tries, "max_steps": max_steps}
     kept = Kept(home, head, said, None if budget_s is None else Budget(budget_s), say)
-    tries = int(kept.lines[0].get("tries", TRIES))
-    max_steps = int(kept.lines[0].get("max_steps", MOST))
+    tries = TRIES if kept.asked.tries is None else kept.asked.tries
+    max_steps = MOST if kept.asked.max_steps is None else kept.asked.max_steps
     climb = Climb(fitted, apart, kept)
     climb.progress = _Told(climb, kept.say, max_steps).step
     outliers, ended = 0, "steps"

@@ -26,7 +26,7 @@ from ..recordings import (
     make_folder,
     sidecar_path,
 )
-from ..runtime.files import read_bytes, remove_stale_parts
+from ..runtime.files import read_bytes, written_to
 from ..runtime.limits import JOURNAL_BYTES, RUN_BYTES
 from ..runtime.plugins import SUM
 from ..runtime.records import from_plain
@@ -204,9 +204,9 @@ def locked(folder: Path) -> Iterator[None]:
     path = make_folder(folder) / LOCK
     try:
         descriptor = _taken(path)
-        remove_stale_parts(folder)
         try:
-            yield
+            with written_to(folder):
+                yield
         finally:
             # While it is held: whoever has opened the file meanwhile sees that it is gone.
             with contextlib.suppress(OSError):

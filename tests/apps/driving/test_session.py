@@ -8,7 +8,15 @@ from numpy.testing import assert_allclose
 import giajax
 from giajax import InputError
 from giajax.apps.control import Compensator
-from giajax.apps.driving import Compensation, PadMapping, Session, TipCamera, read_pad, replay
+from giajax.apps.driving import (
+    Compensation,
+    PadMapping,
+    Session,
+    TipCamera,
+    Unfinished,
+    read_pad,
+    replay,
+)
 from giajax.apps.synthetic import gusts
 from giajax.cli import main
 from giajax.mechanics.arm import takeichi_20m, tip_position
@@ -23,6 +31,15 @@ STIFF = {"joints.pitch_stiffness": 6.0, "joints.yaw_stiffness": 6.0, "joints.dam
 @pytest.fixture(scope="module")
 def model():
     return ArmModel(takeichi_20m(4, parameters=STIFF))
+
+
+def raises(error):
+    """A function that raises an error."""
+
+    def function(*_, **__):
+        raise error
+
+    return function
 
 
 def pad(duration, rows=20):
@@ -180,8 +197,15 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
     assert_allclose(run.values["wind_y"], 0.1)
     assert np.isfinite(run.values["link03_z"]).mean() == pytest.approx(1 / 3, abs=0.01)
     assert run.noise("link03_z") == 0.01
+    # What cannot be saved stays as it was driven.
+    with monkeypatch.context() as full:
+        full.setattr("giajax.cli._drive.write_and_say", raises(InputError("no")))
+        assert main([*words]) == 2
+    kept = "drive-2-unfinished.csv"
+    assert f"giajax: no; what was kept of the drive is in {kept}\n" in capsys.readouterr().err
+    assert len(read_run(kept).times) == len(run.times)
     assert main([*words]) == 0
-    assert "wrote drive-2.csv" in capsys.readouterr().out
+    assert "wrote drive-3.csv" in capsys.readouterr().out
     assert main([*words, "--out", "drive-1.csv"]) == 2
     assert "drive-1.csv exists" in capsys.readouterr().err
     (tmp_path / "pad.csv").write_text("time_s,button0\n0,1\n")
@@ -197,6 +221,30 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
     error = capsys.readouterr().err
     assert "is 1e+09 s long, but may be 16666.7 s" in error
     assert error.count("\n") == 1
+
+
+def test_rows_that_a_full_disk_does_not_take_are_written_later(model, tmp_path, monkeypatch):
+    """Nothing is torn meanwhile, and it is said once."""
+    session, said = Session(model), []
+    path = tmp_path / "unfinished.csv"
+    unfinished = Unfinished(session.record, path, complain=said.append)
+    for now in (0.0, 0.5):
+        session.tick(now)
+        unfinished.add()
+    whole = path.read_bytes()
+    assert whole.count(b"\n") == 1 + 16
+    with monkeypatch.context() as full:
+        full.setattr("os.fsync", raises(OSError(28, "No space left on device")))
+        for now in (1.0, 1.5):
+            session.tick(now)
+            unfinished.add()
+            assert path.read_bytes() == whole
+    assert len(said) == 1
+    assert "unfinished.csv cannot be written (No space left on device)" in said[0]
+    session.tick(2.0)
+    unfinished.add()
+    assert path.read_bytes().startswith(whole)
+    np.testing.assert_array_equal(read_run(path).times, session.record.times)
 
 
 @pytest.mark.slow

@@ -130,6 +130,11 @@ class Record:
         """Velocities of the air, m/s."""
         return self._column(3)
 
+    @property
+    def is_still(self) -> bool:
+        """Whether nothing was driven, or no joint was moved: there is no run to save."""
+        return len(self) < 2 or not command_columns(self.commands)
+
     def run(
         self,
         channels: Sequence[str],
@@ -155,9 +160,9 @@ class Record:
         """
         if len(self) < 2:
             raise InputError("nothing was driven: there is no run to save")
-        values = command_columns(self.commands)
-        if not values:
+        if self.is_still:
             raise InputError("no joint was moved: there is no run to save")
+        values = command_columns(self.commands)
         states = self._column(2)
         rows = (self.times, states[:, 0], states[:, 1], self.commands, self.winds)
         motion = logged_motion(self.model.arm, *rows)
@@ -186,15 +191,22 @@ class Unfinished:
         record: of the drive, which has its first row.
         path: of the file, which ends in `.csv` and is written over.
         origin: what the sidecar says of where it is from.
+        complain: called with a sentence where rows cannot be written; they are with the next ones.
 
     Raises:
         InputError: it cannot be written.
     """
 
-    def __init__(self, record: Record, path: Path, *, origin: str = "") -> None:
-        self.record, self.path = record, path
-        self._rows = 0
-        self.error = ""
+    def __init__(
+        self,
+        record: Record,
+        path: Path,
+        *,
+        origin: str = "",
+        complain: Callable[[str], None] = lambda sentence: None,
+    ) -> None:
+        self.record, self.path, self.complain = record, path, complain
+        self._rows, self._failed = 0, False
         joints = [f"joint{joint:02d}" for joint in range(1, record.model.arm.count + 1)]
         names = [f"{joint}_{what}" for what in ("command", "angle", "rate") for joint in joints]
         columns = [Channel.named(name).column for name in (*names, *_WIND)]
@@ -205,20 +217,33 @@ class Unfinished:
         header = ",".join(["time_s", *columns]) + "\n"
         contents = {path: header, sidecar_path(path): definition.to_toml()}
         write_files({where: text.encode() for where, text in contents.items()}, force=True)
+        self._size = len(header.encode())
 
     def add(self) -> None:
-        """Write what was driven since; where that cannot be, `error` says so, and it has ended."""
-        if self.error:
-            return
+        """Write what was driven since, or have it wait for the next time: rows are whole."""
         rows = self.record.rows(self._rows)
-        self._rows += len(rows)
+        data = "".join(",".join(map(repr, row)) + "\n" for row in rows).encode()
         try:
-            with self.path.open("ab") as file:
-                file.write("".join(",".join(map(repr, row)) + "\n" for row in rows).encode())
-                file.flush()
-                os.fsync(file.fileno())
+            with self.path.open("r+b", buffering=0) as file:
+                file.seek(self._size)
+                try:
+                    left = memoryview(data)
+                    while left:  # the disk may take a part
+                        left = left[file.write(left) :]
+                    os.fsync(file.fileno())
+                except OSError:
+                    file.truncate(self._size)
+                    raise
         except OSError as error:
-            self.error = f"{self.path} cannot be written ({error.strerror})"
+            if not self._failed:
+                self.complain(
+                    f"giajax: {self.path} cannot be written ({error.strerror}): a kill would lose "
+                    "what is driven until it can"
+                )
+            self._failed = True
+            return
+        self._failed = False
+        self._rows, self._size = self._rows + len(rows), self._size + len(data)
 
     def remove(self) -> None:
         """Remove it, whose drive was saved."""
