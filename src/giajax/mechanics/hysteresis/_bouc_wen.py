@@ -123,10 +123,6 @@ def _sign(way: Array) -> Array:
     return jnp.where(way < 0, -1.0, 1.0)
 
 
-def _ones(like: Array) -> tuple[Array, Array]:
-    return jnp.ones_like(like), jnp.ones_like(like)
-
-
 @eqx.filter_custom_jvp
 def _is_dahl(nu: Scalar, delta: Scalar) -> Bool[Array, ""]:
     """Whether nu is 1 and delta 0; not where one is differentiated by once more."""
@@ -141,9 +137,9 @@ def _is_dahl_jvp(primals: Any, tangents: Any) -> tuple[Array, None]:
 
 def _leg(way: Array, z: Array, nu: Scalar, delta: Scalar) -> Array:
     """z after one motion, integrated."""
-    most = _FULL + _DECAY / nu
+    most, one = _FULL + _DECAY / nu, jnp.ones_like(nu)
     width = jnp.clip(way, -most, most) / _STEPS
-    return _by_steps(lambda z: bouc_wen_rate(width, z, *_ones(nu), 1 - delta, delta, nu), z, _STEPS)
+    return _by_steps(lambda z: bouc_wen_rate(width, z, one, one, 1 - delta, delta, nu), z, _STEPS)
 
 
 def _by_steps(slope: Callable[[Array], Array], z: Array, count: int) -> Array:
