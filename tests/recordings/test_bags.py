@@ -1,9 +1,14 @@
 """Bags as ROS 2 writes them, without ROS: what is in them, and two commands to a fit."""
 
+import os
+import sqlite3
+import struct
 import sys
 
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -150,8 +155,6 @@ def test_messages_of_a_bag_have_one_clock_and_none_is_lost(tmp_path):
     np.testing.assert_allclose(table.times, [0, 5, 10])
 
 
-# rosbags 0.11.0 leaves the torn file open.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.quick
 def test_a_bad_bag_is_one_sentence(tmp_path, monkeypatch):
     path = write_bag(tmp_path, TOPICS[:1], plugin=StoragePlugin.MCAP)
@@ -162,7 +165,7 @@ def test_a_bad_bag_is_one_sentence(tmp_path, monkeypatch):
     for name, how, says in [
         ("other", {}, "but /talk (std_msgs/msg/String): give another bag"),
         ("empty", {}, "does not exist"),
-        ("torn.mcap", {}, "reading"),
+        ("torn.mcap", {}, "is no whole MCAP file"),
         ("text.db3", {}, "reading"),
         ("gone.mcap", {}, "gone.mcap"),
         ("bag", {"axes": ("x", "-y")}, "--axes changes nothing in this table of ROS 2: leave it"),
@@ -173,9 +176,207 @@ def test_a_bad_bag_is_one_sentence(tmp_path, monkeypatch):
         assert says in str(caught.value)
         assert "\n" not in str(caught.value)
     assert other.is_dir()
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(InputError, match=r'not installed: pip install "giajax\[ros\]"'):
         read_foreign(path)
+
+
+# Bags that nobody recorded.
+
+MCAP = b"\x89MCAP0\r\n"
+JOINTS = "sensor_msgs/msg/JointState"
+DEFINITION = STORE.generate_msgdef(JOINTS, ros_version=2)[0]
+
+
+def zstd(data):
+    return zstandard.ZstdCompressor(level=1).compress(data)
+
+
+def record(code, *parts):
+    """A record of MCAP; texts go with their length."""
+    parts = [p if isinstance(p, bytes) else struct.pack("<I", len(p)) + p.encode() for p in parts]
+    data = b"".join(parts)
+    return bytes([code]) + struct.pack("<Q", len(data)) + data
+
+
+def mcap(*records, end=b""):
+    records = [record(1, "ros2", "test"), *records, record(15, bytes(4)), end]
+    return MCAP + b"".join(records) + record(2, bytes(20)) + MCAP
+
+
+def topic(definition=DEFINITION, form="cdr"):
+    schema = record(3, b"\1\0", JOINTS, "ros2msg", definition)
+    return schema + record(4, b"\1\0\1\0", "/j", form, b"\0\0\0\0")
+
+
+def told(time, *lists, at=None, data=None):
+    """A message as a record."""
+    at = round((BEGAN + time) * 1e9) if at is None else at
+    data = bytes(STORE.serialize_cdr(joints(time, *lists), JOINTS)) if data is None else data
+    return record(5, struct.pack("<HIQQ", 1, 0, at, at), data)
+
+
+def chunk(data, form="zstd", size=None):
+    packed = {"zstd": zstd, "lz4": lz4.frame.compress}[form](data)
+    size = len(data) if size is None else size
+    return record(
+        6, struct.pack("<QQQI", 0, 0, size, 0), form, struct.pack("<Q", len(packed)), packed
+    )
+
+
+GOOD = told(0, ["a"], [1.0]) + told(1, ["a"], [2.0])
+DATA = bytes(STORE.serialize_cdr(joints(0.0, ["a"], [1.0]), JOINTS))
+ENDLESS = (
+    "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x AS id, 1 AS topic_id,"
+    " x AS timestamp, zeroblob(1000) AS data FROM c"
+)
+FILES = {
+    "unpacks to more than 100 times": mcap(topic(), chunk(bytes(1 << 25)), GOOD),
+    "has parts of more than 134,217,728 bytes": mcap(topic(), chunk(b"", size=1 << 40), GOOD),
+    "other than its 100 bytes": mcap(topic(), chunk(bytes(1 << 25), size=100), GOOD),
+    "is packed by 'tars'": mcap(topic(), chunk(GOOD).replace(b"zstd", b"tars")),
+    "is cut off": mcap(topic(), b"\x05" + b"\xff" * 8, GOOD),
+    "is no whole MCAP file": mcap(topic(), GOOD)[:-30],
+    "says that it has 5 messages, but has 2": mcap(
+        topic(), GOOD, end=record(11, struct.pack("<QHIIIIQQ", 5, 1, 1, 0, 0, 0, 0, 1), bytes(4))
+    ),
+    "more than 10,000 series": mcap(topic(), *(told(i, [f"n{i}"], [1.0]) for i in range(10_001))),
+    "'/j/a\\x1b[2J\\nb' is no name": mcap(topic(), told(0, ["a\x1b[2J\nb"], [1.0])),
+    "is no name: it may have 1,000 letters": mcap(topic(), told(0, ["q" * 1_001], [1.0])),
+    "/j/a twice": mcap(topic(), told(0, ["a", "a"], [1.0, 2.0])),
+    "has 2 names but 1 values of position": mcap(topic(), told(0, ["a", "b"], [1.0])),
+    "/j/a is inf in a message": mcap(topic(), told(0, ["a"], [np.inf])),
+    "was received at 18446744073709551615": mcap(topic(), told(0, ["a"], [1.0], at=2**64 - 1)),
+    "have another JointState than that of ROS 2": mcap(
+        topic(DEFINITION.replace("velocity", "x").replace("position", "velocity")), GOOD
+    ),
+    "another JointState": mcap(topic(f"JointState[] more\n{DEFINITION}"), GOOD),
+    "but must be in cdr": mcap(topic(form="json"), GOOD),
+    "Invalid sequence length": mcap(topic(), told(0, data=DATA[:20] + b"\xff" * 4 + DATA[24:])),
+}  # fmt: skip
+SCRIPTS = {
+    "has no plain table messages": f"DROP TABLE messages; CREATE VIEW messages AS {ENDLESS}",
+    "no plain table messages": "DROP TABLE messages; CREATE TABLE messages(id, topic_id, timestamp,"
+    " data AS (zeroblob(900000000)))",
+    "1 messages of no topic": "UPDATE messages SET topic_id = 9 WHERE id = 2",
+    "was received at 'soon'": "UPDATE messages SET timestamp = 'soon'",
+    "has a message that is no data": "UPDATE messages SET data = 'hello'",
+    "too big": "UPDATE messages SET data = zeroblob(300000000) WHERE id = 1",
+    "more than 10,000 topics": "WITH RECURSIVE c(x) AS (SELECT 2 UNION ALL SELECT x + 1 FROM c"
+    " WHERE x < 10002) INSERT INTO topics SELECT x, '/t' || x, 'a/b/C', 'cdr', '', '' FROM c",
+}
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("says", FILES)
+def test_a_hostile_file_is_one_sentence(tmp_path, says):
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(FILES[says])
+    with pytest.raises(InputError) as caught:
+        read_foreign(path)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def database(folder, name="bag"):
+    said = [("/j", time, joints(time, ["a"], [time])) for time in (0.0, 1.0)]
+    path = write_bag(folder, said, name)
+    return path, path / f"{name}.db3"
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("says", SCRIPTS)
+def test_a_hostile_database_is_one_sentence(tmp_path, says):
+    path, file = database(tmp_path)
+    base = sqlite3.connect(file)
+    base.executescript(SCRIPTS[says])
+    base.close()
+    with pytest.raises(InputError, match=says):
+        read_foreign(path)
+
+
+@pytest.mark.quick
+def test_pages_of_a_database_that_are_in_each_other_end(tmp_path):
+    """The root has 300 children, each 300, and so on: 2e17 rows in a file of 60 kB."""
+    path, file = database(tmp_path)
+    base = sqlite3.connect(file)
+    (size,), (root,) = (
+        base.execute(query).fetchone()
+        for query in (
+            "PRAGMA page_size",
+            "SELECT rootpage FROM sqlite_master WHERE name = 'messages'",
+        )
+    )
+    base.close()
+    data = bytearray(file.read_bytes())
+    leaf = bytes(data[(root - 1) * size : root * size])
+    pages = len(data) // size
+    for level in range(8):
+        child = struct.pack(">I", pages + 1 + level)
+        body = size - 5 * 300
+        page = bytearray(b"\5\0\0" + struct.pack(">HH", 300, body) + b"\0" + child).ljust(
+            size, b"\0"
+        )
+        page[12:612] = b"".join(struct.pack(">H", body + 5 * n) for n in range(300))
+        page[body:] = (child + b"\1") * 300
+        place = root - 1 if level == 0 else pages + level - 1
+        data[place * size : (place + 1) * size] = page
+    data += leaf
+    data[28:32] = struct.pack(">I", len(data) // size)
+    file.write_bytes(data)
+    with pytest.raises(InputError, match="interrupted"):
+        read_foreign(path)
+
+
+@pytest.mark.quick
+def test_files_of_a_bag_are_in_its_folder_and_are_files(tmp_path):
+    for number, (listed, says) in enumerate([
+        ("- ../../etc/passwd", "must have relative_file_paths once"),
+        ("- ..", "must have relative_file_paths once"),
+        ("- ../bag/bag.db3", "6/bag.db3"),
+        ("- bag.db3\nrelative_file_paths:\n- bag.db3", "must have relative_file_paths once"),
+        ("- gone.db3", "gone.db3"),
+        ("- pipe.db3", "is a pipe, but must be a file"),
+        ("- zero.db3", "is a device, but must be a file"),
+    ]):  # fmt: skip
+        path, _ = database(tmp_path, f"{number}")
+        os.mkfifo(path / "pipe.db3")
+        (path / "zero.db3").symlink_to("/dev/zero")
+        about = path / "metadata.yaml"
+        about.write_text(about.read_text().replace(f"- {number}.db3", listed))
+        with pytest.raises(InputError) as caught:
+            read_foreign(path)
+        assert says.replace("6", str(number)) in str(caught.value)
+    # What is being recorded is not all there.
+    path, _ = database(tmp_path)
+    (path / "bag.db3-wal").write_bytes(b"more")
+    with pytest.raises(InputError, match="was not closed"):
+        read_foreign(path)
+
+
+@pytest.mark.quick
+def test_bags_may_be_packed_in_every_way(tmp_path):
+    expected = channels_of(read_foreign(database(tmp_path)[0]), {"/j/a": "joint01"})
+    assert list(expected["joint01_angle"]) == [0, 1]
+    whole, file = database(tmp_path, "whole")
+    (whole / "whole.db3.zstd").write_bytes(zstd(file.read_bytes()))
+    file.unlink()
+    about = whole / "metadata.yaml"
+    about.write_text(about.read_text().replace("- whole.db3", "- 'whole/whole.db3.zstd'"))
+    each, file = database(tmp_path, "each")
+    base = sqlite3.connect(file)
+    for number, data in base.execute("SELECT id, data FROM messages").fetchall():
+        base.execute("UPDATE messages SET data = ? WHERE id = ?", [zstd(data), number])
+    base.commit()
+    base.close()
+    each = each.rename(tmp_path / "each?mode=rwc#1")
+    said = told(0, ["a"], [0.0]) + told(1, ["a"], [1.0])
+    files = [tmp_path / f"{form}.mcap" for form in ("zstd", "lz4")]
+    for path in files:
+        path.write_bytes(mcap(topic(), chunk(said, path.stem)))
+    for path in (whole, each, *files):
+        found = channels_of(read_foreign(path), {"/j/a": "joint01"})
+        np.testing.assert_array_equal(found["joint01_angle"], expected["joint01_angle"])
 
 
 def test_two_commands_from_a_bag_to_a_fit(tmp_path, capsys):

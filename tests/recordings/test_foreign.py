@@ -203,6 +203,7 @@ def test_a_file_is_known_by_its_content(tmp_path, name):
         (DEEP, {"until": np.nan}, "--from-time and --until must be numbers"),
         (DEEP, {"likelihood": np.nan}, "the likelihood is nan: give a number from 0 to 1"),
         (PHYPHOX.replace("2.100000000E-2", "2.1e"), {}, "'Time (s)' has '2.1e' in row 3"),
+        (PHYPHOX.replace("2.100000000E-2", "NaN"), {}, "but row 3 has no time: give it one"),
         (PHYPHOX, {"frame_rate": -1.0}, "the rate is -1"),
         (KINOVEA.replace("40 101 21", "40 101"), {"unit": "m"}, "row 6 has 2 cells"),
         (KINOVEA.replace("40 101", "0:00:00:03 101"), {"unit": "m"}, "'0:00:00:03' in row 6"),

@@ -1,21 +1,45 @@
-"""Bags of ROS 2, as folders or MCAP files: joints, poses and inertial sensors by their topics."""
+"""Bags of ROS 2, as folders or MCAP files: joints, poses and inertial sensors by their topics.
 
-from collections.abc import Callable, Iterator, Mapping
+The files are read here and not by rosbags, which unpacks what they hold however much it is, and
+runs code that it makes of the definitions in them. Of rosbags are the definitions of the messages,
+and how a message is read.
+"""
+
+import contextlib
+import importlib
+import io
+import re
+import sqlite3
+import tempfile
+import zlib
+from array import array
+from collections.abc import Callable, Generator, Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, NamedTuple
+from pathlib import Path, PurePath
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ..runtime.files import check_kind, check_path, read_bytes
-from ..runtime.limits import RESULT_BYTES
-from ..runtime.text import InputError, tried
+from ..runtime.files import check_path, opened, read_text
+from ..runtime.limits import (
+    BAG_NUMBERS,
+    CELL_BYTES,
+    CHUNK_BYTES,
+    COLUMNS,
+    TEXT_BYTES,
+    UNPACKED_BYTES,
+    UNPACKED_TIMES,
+    VALUE,
+)
+from ..runtime.text import InputError, shown, tried
 from ._foreign import ForeignColumn, ForeignTable, ImportSettings, Numbers, placed, some
 
 _SUFFIXES = (".mcap", ".db3")
 _NS = 10**9
 _SINCE_1970 = 10**8 * _NS  # what a clock shows, but no simulation, which may begin at 0
+_MOMENTS = 2**63  # of clocks, ns: what a bag has is less
 _Moments = npt.NDArray[np.int64]
 
 
@@ -30,12 +54,19 @@ class _Cell(NamedTuple):
 
 def _joints(topic: str, message: Any) -> Iterator[_Cell]:
     """`sensor_msgs/JointState`, whose three lists may each be empty."""
-    for label, quantity in (("position", "angle"), ("velocity", "angular_velocity")):
-        # Of a message with fewer names there are no further joints.
-        for name, value in zip(message.name, getattr(message, label), strict=False):
-            yield _Cell(f"{topic}/{name}", label, quantity, value)
-    for name, value in zip(message.name, message.effort, strict=False):
-        yield _Cell(f"{topic}/{name} effort", "", "torque", value)
+    for label, quantity, ending in (
+        ("position", "angle", ""),
+        ("velocity", "angular_velocity", ""),
+        ("effort", "torque", " effort"),
+    ):
+        values = getattr(message, label)
+        if len(values) not in (0, len(message.name)):
+            raise InputError(
+                f"a message of {topic} has {len(message.name)} names but {len(values)} values of "
+                f"{label}: it must have as many, or none"
+            )
+        for name, value in zip(message.name, values, strict=False):
+            yield _Cell(f"{topic}/{name}{ending}", "" if ending else label, quantity, value)
 
 
 def _pose(topic: str, message: Any) -> Iterator[_Cell]:
@@ -81,11 +112,11 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
 
     Raises:
         InputError: it is no bag, or has none of these messages, or `rosbags` is not installed; or
-            messages of a thing that is not ignored have no stamps, equal ones, or another clock.
+            messages of a thing that is not ignored have no stamps, equal ones, or another clock; or
+            it is damaged, or has or unpacks to more than the limits.
     """
     check_path(path)
     try:
-        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise InputError(
@@ -93,54 +124,53 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
         ) from None
     if how.frame_rate is not None:
         raise InputError(f"{path}: a bag has its own times: leave out --frame-rate")
-    clocks: dict[str, list[tuple[int, int]]] = {}  # stamp and reception of each message
-    series: dict[tuple[str, str, str, str], list[tuple[int, float]]] = {}
-    # Recorders of earlier distributions leave the definitions of the messages out.
-    store = get_typestore(Stores.LATEST)
-    with tried(f"reading {path}"):  # which rosbags does, whatever they are
-        for part in path.iterdir() if path.is_dir() else (path,):
-            check_kind(part, part.stat().st_mode)
-            if part.suffix == ".yaml":
-                read_bytes(part, RESULT_BYTES)
-    with tried(f"reading {path} with rosbags"), AnyReader([path], default_typestore=store) as bag:
-        topics = [f"{each.topic} ({each.msgtype})" for each in bag.connections]
-        known = [each for each in bag.connections if each.msgtype in _MESSAGES]
-        for connection, received, data in bag.messages(known) if known else ():
-            message: Any = bag.deserialize(data, connection.msgtype)
-            stamp = message.header.stamp
-            topic = connection.topic
-            clock = clocks.setdefault(topic, [])
-            for thing, label, quantity, value in _MESSAGES[connection.msgtype](topic, message):
-                found = series.setdefault((topic, thing, label, quantity), [])
-                found.append((len(clock), float(value)))
-            clock.append((stamp.sec * _NS + stamp.nanosec, received))
-        clocked = {topic: np.array(clock, dtype=np.int64) for topic, clock in clocks.items()}
-    if not series:
+    ignored = ImportSettings(ignore=how.ignore)  # what is not read may have any clock
+    found = _Found(path, get_typestore(Stores.LATEST))
+    with contextlib.closing(_messages(path, found.topics)) as messages:
+        for each, received, data in messages:
+            # Of a topic that is ignored whole, nothing but the names matters.
+            whole = ignored.keeps(each.name) or ignored.keeps(f"{each.name}/")
+            with contextlib.nullcontext() if whole else contextlib.suppress(InputError):
+                found.add(each, received, data)
+    if not found.series:
         kinds = ", ".join(kind.replace("/msg/", "/") for kind in _MESSAGES)
+        topics = [f"{each.name} ({each.kind})" for each in found.topics]
         raise InputError(
             f"{path} has no message of {kinds}, but {some(topics) or 'none'}: give another bag"
         )
-    ignored = ImportSettings(ignore=how.ignore)  # what is not read may have any clock
-    kept = dict.fromkeys(topic for topic, thing, *_ in series if ignored.keeps(thing))
-    stamps = _stamps(path, {topic: clocked[topic] for topic in kept})
+    clocks = {
+        topic: np.frombuffer(clock, dtype=np.int64).reshape(-1, 2)
+        for topic, clock in found.clocks.items()
+    }
+    kept = dict.fromkeys(topic for topic, thing, *_ in found.series if ignored.keeps(thing))
+    stamps = _stamps(path, {topic: clocks[topic] for topic in kept})
     moments = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *stamps.values()]))
+    columns = sum(ignored.keeps(thing) for _, thing, *_ in found.series)
+    if columns * len(moments) > BAG_NUMBERS:
+        raise InputError(
+            f"{path} is a table of {columns:,} columns and {len(moments):,} rows, but may have "
+            f"{BAG_NUMBERS:,} numbers at most: leave topics out with --ignore, or split the bag"
+        )
+    nothing: Numbers = np.broadcast_to(np.nan, len(moments))
     things: dict[str, list[ForeignColumn]] = {}
-    for (topic, thing, label, quantity), cells in series.items():
-        values: Numbers = np.full(len(moments), np.nan)
+    for (topic, thing, label, quantity), (numbers, cells) in found.series.items():
+        values = nothing
         if ignored.keeps(thing):
-            at = stamps[topic][[number for number, _ in cells]]
+            at = stamps[topic][np.frombuffer(numbers, dtype=np.int64)]
             if again := len(at) - len(np.unique(at)):
                 raise InputError(
                     f"{path}: {again} of {len(at)} messages of {topic} have the same time stamp as "
                     f"another one: correct the stamps, or leave them out with --ignore '{topic}*'"
                 )
-            values[np.searchsorted(moments, at)] = [value for _, value in cells]
+            values = np.full(len(moments), np.nan)
+            values[np.searchsorted(moments, at)] = np.frombuffer(cells)
         things.setdefault(thing, []).append(ForeignColumn(label, quantity, values))
-    for thing, columns in things.items():
-        if columns[0].quantity == "length":
-            metres = [column.values for column in columns]
+    lengths = False
+    for thing, of in things.items():
+        if of[0].quantity == "length":
+            lengths = True
+            metres = [column.values for column in of]
             things[thing] = placed(metres, how.axes or "xyz", f"{path}: {thing}")
-    lengths = any(columns[0].quantity == "length" for columns in things.values())
     how.check_used(path, "ROS 2", *(["axes"] if lengths else []))
     times = (moments - moments[:1]) / _NS
     return ForeignTable("a bag of ROS 2", times, things, merged=True)
@@ -157,13 +187,17 @@ def _stamps(path: Path, clocks: Mapping[str, _Moments]) -> dict[str, _Moments]:
                 f"others have one: correct the stamps, or leave them out with --ignore '{topic}*'"
             )
         stamps[topic] = clock[:, 1 if none == len(clock) else 0]
-    received = [int(time) for clock in clocks.values() for time in clock[[0, -1], 1]]
+    received = [
+        int(end) for clock in clocks.values() for end in (clock[:, 1].min(), clock[:, 1].max())
+    ]
     spans = {topic: (int(each.min()), int(each.max())) for topic, each in stamps.items()}
     whole = (min(received, default=0), max(received, default=0))
     length = max(last - first for first, last in [whole, *spans.values()])
     order = sorted(spans, key=spans.__getitem__)
+    latest = None
     for topic, later in pairwise(order):
-        gap = spans[later][0] - max(spans[each][1] for each in order[: order.index(later)])
+        latest = spans[topic][1] if latest is None else max(latest, spans[topic][1])
+        gap = spans[later][0] - latest
         if gap > length:
             raise InputError(
                 f"{path}: the clocks of {topic} and {later} lie {gap / _NS:.6g} s apart, but the "
@@ -171,3 +205,379 @@ def _stamps(path: Path, clocks: Mapping[str, _Moments]) -> dict[str, _Moments]:
                 f"with --ignore '{later}*'"
             )
     return stamps
+
+
+# The messages of a bag, and what is in them.
+
+
+class _Topic(NamedTuple):
+    """A topic, the kind of its messages, and the definition of that, if the bag has one."""
+
+    name: str
+    kind: str
+    form: str
+    definition: str
+
+
+@dataclass
+class _Found:
+    """What was found in the messages of a bag so far.
+
+    Attributes:
+        topics: all, also those of other kinds of messages.
+        clocks: by topic, the stamp and the reception of each message, ns, one after the other.
+        series: by topic, thing, label and quantity: the number of the message, and the value.
+    """
+
+    path: Path
+    store: Any
+    topics: dict[_Topic, None] = field(default_factory=dict)
+    clocks: dict[str, array] = field(default_factory=dict)
+    series: dict[tuple[str, str, str, str], tuple[array, array]] = field(default_factory=dict)
+    numbers: int = 0
+
+    def check(self, topic: _Topic) -> None:
+        """Refuse a topic whose messages are not read as its bag says that they are."""
+        if topic.form != "cdr":
+            raise InputError(
+                f"{self.path}: messages of {topic.name} are in {shown(topic.form)}, but must be in "
+                "cdr: record them so"
+            )
+        said = _fields(topic.kind, topic.definition)
+        known = _fields(topic.kind, self.store.generate_msgdef(topic.kind, ros_version=2)[0])
+        for kind, fields in said.items():
+            if fields and kind in known and fields != known[kind]:
+                raise InputError(
+                    f"{self.path}: messages of {topic.name} have another {kind} than that of "
+                    f"ROS 2, {shown(', '.join(known[kind]))}: record them as that"
+                )
+
+    def add(self, topic: _Topic, received: int, data: bytes) -> None:
+        """A message."""
+        if topic.name not in self.clocks:
+            self.check(topic)
+        with tried(f"reading a message of {topic.name} in {self.path}"):
+            message = self.store.deserialize_cdr(data, topic.kind)
+        stamp = message.header.stamp
+        clock = self.clocks.setdefault(topic.name, array("q"))
+        number = len(clock) // 2
+        clock.extend((stamp.sec * _NS + stamp.nanosec, received))
+        for thing, label, quantity, value in _MESSAGES[topic.kind](topic.name, message):
+            key = (topic.name, thing, label, quantity)
+            if key not in self.series:
+                self._check_name(thing)
+                self.series[key] = array("q"), array("d")
+            numbers, values = self.series[key]
+            if numbers and numbers[-1] == number:
+                raise InputError(
+                    f"{self.path}: a message of {topic.name} has {thing} twice: rename one"
+                )
+            if abs(value) > VALUE:
+                raise InputError(
+                    f"{self.path}: {thing} is {value:g} in a message, but may be {VALUE:g} at "
+                    f"most: correct it, or leave it out with --ignore '{topic.name}*'"
+                )
+            numbers.append(number)
+            values.append(value)
+            self.numbers += 1
+        if self.numbers > BAG_NUMBERS:
+            raise InputError(
+                f"{self.path} has more than {BAG_NUMBERS:,} numbers: split the bag, or record "
+                "fewer topics"
+            )
+
+    def _check_name(self, name: str) -> None:
+        if len(name) > CELL_BYTES or not name.isprintable():
+            raise InputError(
+                f"{self.path}: {shown(name)} is no name: it may have {CELL_BYTES:,} letters"
+            )
+        if len(self.series) >= COLUMNS:
+            raise InputError(f"{self.path} has more than {COLUMNS:,} series: record fewer topics")
+
+
+def _fields(kind: str, definition: str) -> dict[str, list[str]]:
+    """Types and names of the fields of a definition, by the message that they are of."""
+    found = {}
+    for section in re.split(r"^=+$", definition, flags=re.MULTILINE):
+        lines = [line.partition("#")[0].split() for line in section.splitlines()]
+        lines = [line for line in lines if line]
+        if lines and lines[0][0] == "MSG:":
+            kind, lines = lines[0][-1], lines[1:]
+        found[kind.rpartition("/")[2]] = [
+            " ".join([line[0].rpartition("/")[2], *line[1:2]]) for line in lines
+        ]
+    return found
+
+
+# Files of a bag.
+
+_ZSTD = b"\x28\xb5\x2f\xfd"  # what is packed so begins with, and no message
+_Messages = Generator[tuple[_Topic, int, bytes], None, None]
+
+
+def _messages(path: Path, topics: dict[_Topic, None]) -> _Messages:
+    """Messages of known kinds: topic, time of reception (ns) and data; all topics become known."""
+    with tempfile.TemporaryDirectory(prefix="giajax-", ignore_cleanup_errors=True) as folder:
+        for part in _files(path) if path.is_dir() else [path]:
+            with tried(f"reading {part}"):
+                with opened(part) as file:
+                    unpacking = _Unpacking(part, file.seek(0, io.SEEK_END))
+                    file.seek(0)
+                    name = part.name.removesuffix(".zstd")
+                    if name != part.name:
+                        part = Path(folder, name)
+                        unpacking.to_file(file, part)
+                read = _database if name.lower().endswith(".db3") else _mcap
+                for topic, received, data in read(part, topics, unpacking):
+                    if not (type(received) is int and 0 <= received < _MOMENTS):
+                        raise InputError(
+                            f"{path}: a message of {topic.name} was received at {shown(received)}: "
+                            "it must be ns since 1970, so correct it"
+                        )
+                    packed = data[: len(_ZSTD)] == _ZSTD
+                    yield topic, received, unpacking.unpacked(data, "zstd") if packed else data
+
+
+_LISTED = re.compile(r"^ *relative_file_paths: *\n((?: *- .*(?:\n|\Z))+)", re.MULTILINE)
+
+
+def _files(folder: Path) -> list[Path]:
+    """The files of a bag in their order, which its `metadata.yaml` lists as ROS writes it.
+
+    Nothing else of it is needed, and no reader of YAML, to which a short text can be a long one.
+    """
+    path = folder / "metadata.yaml"
+    text = read_text(path, TEXT_BYTES, "YAML", "the folder of a bag, or a file of one")
+    listed = _LISTED.findall(text.replace("\r\n", "\n"))
+    lines = listed[0].splitlines() if len(listed) == 1 else []
+    # Earlier versions have the folder before the name, which it may have no more.
+    names = [PurePath(line.partition("- ")[2].strip().strip("'\"")).name for line in lines]
+    if not names or not all(name.removesuffix(".zstd").endswith(_SUFFIXES) for name in names):
+        raise InputError(
+            f"{path} must have relative_file_paths once, and below it `- name.db3` or "
+            "`- name.mcap` of each file: write it again by ros2 bag reindex, or give a file"
+        )
+    return [folder / name for name in names]
+
+
+class _Unpacking:
+    """Unpacks what is packed in a file, of which there may be so much more than it has bytes."""
+
+    def __init__(self, path: Path, size: int) -> None:
+        self._path, self.size = path, size
+        self._left = UNPACKED_TIMES * size + UNPACKED_BYTES
+
+    def unpacked(self, data: bytes, form: str, size: int | None = None) -> bytes:
+        """The data, which must have the size that is said of them."""
+        if not form:
+            return data
+        most = min(self._left, CHUNK_BYTES)
+        if size is None or size <= most:
+            with self._opened(io.BytesIO(data), form) as file:
+                found = file.read((most if size is None else size) + 1)
+            if size is not None and len(found) != size:
+                raise InputError(
+                    f"{self._path} has a part of other than its {size:,} bytes: copy it again"
+                )
+            size = len(found)
+        self._take(size, most)
+        return found
+
+    def to_file(self, packed: BinaryIO, path: Path) -> None:
+        """A whole file that is packed."""
+        with path.open("xb") as out, self._opened(packed, "zstd") as file:
+            while block := file.read(1 << 20):
+                self._take(len(block), self._left)
+                out.write(block)
+        self.size = path.stat().st_size
+
+    def _take(self, size: int, most: int) -> None:
+        self._left -= size
+        if size > most or self._left < 0:
+            raise InputError(
+                f"{self._path} unpacks to more than {UNPACKED_TIMES} times its size, or has parts "
+                f"of more than {CHUNK_BYTES:,} bytes: record it without compression"
+            )
+
+    def _opened(self, file: BinaryIO, form: str) -> Any:
+        if form == "lz4":
+            return importlib.import_module("lz4.frame").open(file, "rb")
+        if form != "zstd":
+            raise InputError(
+                f"{self._path} is packed by {shown(form)}: it must be zstd or lz4, or not packed"
+            )
+        for name in ("compression.zstd", "backports.zstd"):
+            with contextlib.suppress(ImportError):
+                return importlib.import_module(name).open(file, "rb")
+        return importlib.import_module("zstandard").open(file, "rb")
+
+
+# MCAP: https://mcap.dev/spec. Records are read one after the other, and what a summary says of
+# where they are is not.
+
+_MAGIC = b"\x89MCAP0\r\n"
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0B, 0x0F
+_READ = (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END)
+
+
+def _mcap(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Messages:
+    """The messages of an MCAP file."""
+    schemas = {0: ("", "")}  # number -> kind, and its definition
+    channels: dict[int, _Topic] = {}
+    count = 0
+    with opened(path) as file:
+        end = file.seek(0, io.SEEK_END) - len(_MAGIC)
+        file.seek(max(end, 0))
+        last = file.read()
+        file.seek(0)
+        if file.read(len(_MAGIC)) != _MAGIC or last != _MAGIC or end < 2 * len(_MAGIC):
+            raise InputError(f"{path} is no whole MCAP file: copy it again, or use mcap recover")
+        for code, record in _unchunked(path, file, end, unpacking):
+            if code == _STATISTICS:
+                if (said := _number(record, 8)) != count:
+                    raise InputError(
+                        f"{path} says that it has {said:,} messages, but has {count:,}: copy it "
+                        "again, or use mcap recover"
+                    )
+                continue
+            number = _number(record, 2)
+            if code == _SCHEMA:
+                kind, form = _text(record), _text(record)
+                schemas[number] = kind, _text(record) if form == "ros2msg" else ""
+            elif code == _CHANNEL:
+                kind, definition = schemas[_number(record, 2)]
+                channels[number] = _Topic(_text(record), kind, _text(record), definition)
+                _know(path, channels[number], topics)
+            else:
+                count += 1
+                topic = channels[number]
+                if topic.kind in _MESSAGES:
+                    _number(record, 4)  # of the message in its topic
+                    received, _ = _number(record, 8), _number(record, 8)
+                    yield topic, received, record.read()
+
+
+def _unchunked(
+    path: Path, file: BinaryIO, end: int, unpacking: _Unpacking
+) -> Iterator[tuple[int, BinaryIO]]:
+    """The records that matter, also those within chunks; after the data, what was counted."""
+    data_ended = False
+    for code, record in _records(path, file, end):
+        if code == _CHUNK and not data_ended:
+            record.seek(16)  # of its first and last moment
+            size, checksum, form = _number(record, 8), _number(record, 4), _text(record)
+            data = unpacking.unpacked(record.read(_number(record, 8)), form, size)
+            if checksum not in (0, zlib.crc32(data)):
+                raise InputError(f"{path} has a damaged chunk: copy it again")
+            for inner, each in _records(path, io.BytesIO(data), len(data)):
+                if inner in (_SCHEMA, _CHANNEL, _MESSAGE):
+                    yield inner, each
+        elif code == _DATA_END:
+            data_ended = True
+        elif code == _STATISTICS or (code != _CHUNK and not data_ended):
+            yield code, record
+
+
+def _records(path: Path, file: BinaryIO, end: int) -> Iterator[tuple[int, BinaryIO]]:
+    """The codes and contents of records, but for those that hold no messages."""
+    while (at := file.tell()) < end:
+        code, size = _number(file, 1), _number(file, 8)
+        if code == 0 or size > end - at - 9 or (code in _READ and size > CHUNK_BYTES):
+            raise InputError(
+                f"{path} is cut off, or has a record of more than {CHUNK_BYTES:,} bytes: copy it "
+                "again, or use mcap recover"
+            )
+        if code in _READ:
+            yield code, io.BytesIO(file.read(size))
+        else:
+            file.seek(size, io.SEEK_CUR)
+
+
+def _number(file: BinaryIO, size: int) -> int:
+    data = file.read(size)
+    if len(data) != size:
+        raise EOFError("a record is too short")
+    return int.from_bytes(data, "little")
+
+
+def _text(file: BinaryIO) -> str:
+    size = _number(file, 4)
+    data = file.read(min(size, TEXT_BYTES))
+    if len(data) != size:
+        raise EOFError(f"a text of {size:,} bytes is too long")
+    return data.decode()
+
+
+def _know(path: Path, topic: _Topic, topics: dict[_Topic, None]) -> None:
+    """Have a topic among those that are known."""
+    topics[topic] = None
+    for name in (topic.name, topic.kind):
+        if len(name) > CELL_BYTES or not name.isprintable():
+            raise InputError(
+                f"{path}: {shown(name)} is no name of a topic or of its kind: it must have "
+                f"{CELL_BYTES:,} letters at most"
+            )
+    if len(topics) > COLUMNS:
+        raise InputError(f"{path} has more than {COLUMNS:,} topics: record fewer")
+
+
+# SQLite, whose tables may be programs, and whose pages may be in each other.
+
+_STEPS, _STEPS_A_BYTE = 1_000_000, 4  # of SQLite's machine, of which a row of 7 bytes needs ten
+
+
+def _database(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Messages:
+    """The messages of a database, which is read and nothing of it run."""
+    for ending in ("-wal", "-journal"):
+        log = path.with_name(path.name + ending)
+        if log.exists() and log.stat().st_size:
+            raise InputError(
+                f"{path} is being written, or was not closed ({log.name} is there): stop the "
+                "recording, or open and close the file by sqlite3"
+            )
+    left = [10 + _STEPS_A_BYTE * unpacking.size // _STEPS]
+
+    def tick() -> bool:
+        left[0] -= 1
+        return left[0] < 0
+
+    uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+    with contextlib.closing(sqlite3.connect(uri, uri=True)) as base:
+        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, CHUNK_BYTES)
+        base.set_progress_handler(tick, _STEPS)
+        base.execute("PRAGMA trusted_schema = OFF")
+        for table in ("topics", "messages"):
+            query = "SELECT type, rootpage > 0 FROM sqlite_master WHERE name = ?"
+            hidden = base.execute(f"SELECT max(hidden) FROM pragma_table_xinfo('{table}')")
+            if base.execute(query, [table]).fetchall() != [("table", 1)] or hidden.fetchone()[0]:
+                raise InputError(f"{path} has no plain table {table}: give a bag of ROS 2")
+        definitions = dict[str, str]()
+        if base.execute(
+            "SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'"
+        ).fetchone():
+            query = (
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            )
+            for kind, form, text in base.execute(query):
+                if kind in _MESSAGES and form == "ros2msg":
+                    definitions[kind] = str(text)
+        numbers = {}
+        for number, *words in base.execute(
+            "SELECT id, name, type, serialization_format FROM topics"
+        ):
+            if type(number) is not int or not all(isinstance(word, str) for word in words):
+                raise InputError(f"{path} has a topic without a name: give a bag of ROS 2")
+            name, kind, form = words
+            numbers[number] = _Topic(name, kind, form, definitions.get(kind, ""))
+            _know(path, numbers[number], topics)
+        query = "SELECT count(*) FROM messages WHERE topic_id NOT IN (SELECT id FROM topics)"
+        if lost := base.execute(query).fetchone()[0]:
+            raise InputError(f"{path} has {lost:,} messages of no topic: copy it again")
+        known = [str(number) for number, topic in numbers.items() if topic.kind in _MESSAGES]
+        query = (
+            f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join(known)})"
+        )
+        for number, received, data in base.execute(query):
+            if not isinstance(data, bytes):
+                raise InputError(f"{path} has a message that is no data: copy it again")
+            yield numbers[number], received, data

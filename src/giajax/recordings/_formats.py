@@ -308,8 +308,8 @@ class Sleap(AbstractFormat):
         header = sheet.head[0]
         rows = sheet.rows(1, len(header))
         kinds = {place: cell.rpartition(".") for place, cell in enumerate(header)}
-        kinds = {place: kind for place, kind in kinds.items() if kind[2] in ("x", "y", "score")}
-        kinds = {place: kind for place, kind in kinds.items() if kind[0] != "instance"}
+        wanted = ("x", "y", "score")
+        kinds = {p: k for p, k in kinds.items() if k[2] in wanted and k[0] != "instance"}
         frame, track = header.index("frame_idx"), header.index("track")
         labels = {frame: "frame_idx", **{place: header[place] for place in kinds}}
         table = rows.numbers(labels)
@@ -348,10 +348,8 @@ class Anipose(AbstractFormat):
         header = sheet.head[0]
         names = {cell.removesuffix("_error") for cell in header if cell.endswith("_error")}
         kinds = {place: cell.rpartition("_") for place, cell in enumerate(header)}
-        kinds = {place: kind for place, kind in kinds.items() if kind[0] in names}
-        kinds = {
-            place: kind for place, kind in kinds.items() if kind[2] in ("x", "y", "z", "score")
-        }
+        wanted = [(name, kind) for name in names for kind in ("x", "y", "z", "score")]
+        kinds = {place: kind for place, kind in kinds.items() if (kind[0], kind[2]) in wanted}
         frame = header.index("fnum")
         labels = {frame: "fnum", **{place: header[place] for place in kinds}}
         table = sheet.numbers(1, len(header), labels)
@@ -481,11 +479,9 @@ class Tracker(AbstractFormat):
                 points.add(name, kind, table[place])
             else:
                 pixels.add(f"{name}/pixel", kind[-1], table[place])
-        things: dict[str, list[ForeignColumn]] = {}
         measured = points.found and (how.unit or how.origin or not pixels.found)
         how.check_used(sheet.path, self.program, "frame_rate", *(_plane(how) if measured else ()))
-        if measured:
-            things |= points.things(how, self.unit(sheet, how))
+        things = points.things(how, self.unit(sheet, how)) if measured else {}
         # Those are counted from the upper left corner, wherever the origin is.
         things |= pixels.things(ImportSettings(), "px")
         return ForeignTable(self.program, self.timed(sheet, how, table[0]), things)
@@ -573,11 +569,13 @@ class Phyphox(AbstractFormat):
                 f"{sheet.path} has the column {header[0]!r} {header.count(header[0])} times: put "
                 "the columns of each into a file of their own"
             )
-        found = {p: m for p, cell in enumerate(header) if (m := self._cell.fullmatch(cell))}
-        found = {p: m for p, m in found.items() if m["unit"] in self._quantities}
+        cells = {p: m for p, cell in enumerate(header) if (m := self._cell.fullmatch(cell))}
+        found = {p: m for p, m in cells.items() if m["unit"] in self._quantities}
         labels = {0: header[0], **{place: header[place] for place in found}}
         table = sheet.numbers(1, len(header), labels)
         timed = np.isfinite(table[0])  # the shorter of two series is filled up with NaN
+        lost = ~timed & np.any([np.isfinite(table[place]) for place in found], axis=0)
+        self.increasing(sheet, np.where(lost, np.nan, np.arange(float(len(lost)))))
         things: dict[str, list[ForeignColumn]] = {}
         for place, match in found.items():
             quantity, factor = self._quantities[match["unit"]]

@@ -10,7 +10,7 @@ import time
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from .limits import DEPTH, NAME_BYTES, WHOLE
 from .text import InputError, shown
@@ -68,6 +68,22 @@ def check_kind(path: Path, mode: int) -> None:
         raise InputError(f"{path} is {device}, but must be a file: write its content to one")
 
 
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[BinaryIO]:
+    """A file whose content is read and ends: no pipe, no device.
+
+    Raises:
+        InputError: a path that cannot be, or something other than a file.
+        OSError: there is no such file, or it cannot be read.
+    """
+    check_path(path)
+    # Without waiting for who writes into a pipe; on Windows there is none.
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with open(handle, "rb") as file:
+        check_kind(path, os.fstat(handle).st_mode)
+        yield file
+
+
 def read_bytes(path: Path, most: int) -> bytes:
     """The content of a file of so many bytes at most, not of what never ends: a pipe, `/dev/zero`.
 
@@ -75,16 +91,12 @@ def read_bytes(path: Path, most: int) -> bytes:
         InputError: a path that cannot be, something other than a file, or a file that is too large.
         OSError: there is no such file, or it cannot be read.
     """
-    check_path(path)
-    # Without waiting for who writes into a pipe; on Windows there is none.
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    with open(handle, "rb") as file:
-        state = os.fstat(handle)
-        check_kind(path, state.st_mode)
-        data = b"" if state.st_size > most else file.read(state.st_size + 1)
-        if len(data) > state.st_size:  # a file that grows, or one of the system, which says no size
+    with opened(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        data = b"" if size > most else file.read(size + 1)
+        if len(data) > size:  # a file that grows, or one of the system, which says no size
             data += file.read(most + 1 - len(data))
-    if (size := max(state.st_size, len(data))) > most:
+    if (size := max(size, len(data))) > most:
         raise InputError(f"{path} has {size:,} bytes, but may have {most:,} at most: shorten it")
     return data
 

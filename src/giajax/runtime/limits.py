@@ -8,6 +8,12 @@ RUN_BYTES = 1 << 30  # size of a `.csv` or `.parquet` file
 # Size of a `.parquet` file when it is unpacked: 8 bytes a number, 64 a text, and its pages.
 PARQUET_BYTES = 1 << 28
 PARQUET_FOOTER_BYTES = 1 << 22  # size of what a `.parquet` file says of itself
+BAG_NUMBERS = 1 << 24  # numbers in a bag, and in the table that it becomes
+CHUNK_BYTES = 1 << 27  # size of a message, and of what an MCAP file packs at once
+UNPACKED_TIMES, UNPACKED_BYTES = (
+    100,
+    1 << 24,
+)  # a bag unpacks to so many times its size, and so more
 TEXT_BYTES = 1 << 20  # size of a TOML file
 RESULT_BYTES = 1 << 26  # size of a `result.json`
 JOURNAL_BYTES = 1 << 30  # size of the journal of a fit
