@@ -17,6 +17,7 @@ from rich.table import Table
 
 from benchmarks.measuring import columns, in_turns, report, spread
 from giajax.mechanics.arm import Arm, PointMasses, acceleration, takeichi_20m, takeichi_20m_full
+from giajax.runtime.programs import program
 from peers.arms import random_states
 
 
@@ -67,7 +68,9 @@ def evaluations(arms: dict[str, Arm], loop: int, repeats: int) -> dict[str, dict
     state = {name: value[0] for name, value in random_states(links, 1).items()}
     start = tuple(state[name] for name in ("angles", "rates", "command"))
 
-    @jax.jit
+    # With the options of the compiler with which a simulation runs: others hand small operations
+    # from thread to thread, which doubles the times of some processes and not of others.
+    @program
     def many(arm: Arm, angles: Any, rates: Any, command: Any) -> Any:
         # Each evaluation needs the one before: none may be left out or done at once.
         def again(_: Any, angles: Any) -> Any:

@@ -96,3 +96,37 @@ def test_what_has_no_factor_has_no_solution():
     assert np.all(np.isnan(factor[np.tril_indices(3)]))
     assert np.all(np.isnan(half))
     assert np.all(np.isnan(_maths.factor_with_rows(jnp.eye(3), jnp.full((1, 3), jnp.nan))[1]))
+
+
+def test_a_choice_has_the_derivative_of_what_was_chosen():
+    x, low, high = jnp.asarray([-2.0, -1.0, 0.3, 1.0, 2.0]), -1.0, 1.0
+    choices = {
+        "larger": (lambda x: _maths.larger(x, low), jnp.maximum(x, low), [0, 1, 1, 1, 1]),
+        "smaller": (lambda x: _maths.smaller(x, high), jnp.minimum(x, high), [1, 1, 1, 1, 0]),
+        "limited": (
+            lambda x: _maths.limited(x, low, high),
+            jnp.clip(x, low, high),
+            [0, 1, 1, 1, 0],
+        ),
+    }
+    for name, (of, values, slopes) in choices.items():
+        found, slope = jax.jvp(of, (x,), (jnp.ones_like(x),))
+        assert_allclose(found, values, rtol=0, err_msg=name)
+        assert_allclose(slope, slopes, rtol=0, err_msg=name)
+    assert jnp.isnan(_maths.limited(jnp.asarray(jnp.nan), low, high))
+
+
+def test_a_derivative_does_not_depend_on_how_a_compiler_rounds():
+    # `jnp.hypot` has a derivative of 0 at some of these, where the compiler works out a coordinate
+    # twice, once with a product and a sum in one instruction.
+    angle = jnp.linspace(0.1, 3, 97)
+
+    def distance(angle):
+        cosine, sine = jnp.cos(angle / 2), jnp.sin(angle / 2)
+        return _maths.hypotenuse(0.9 * cosine - 0.2 * sine, 0.3 * sine + 0.1 * cosine)
+
+    def slope(angle):
+        return jax.jvp(distance, (angle,), (jnp.ones_like(angle),))[1]
+
+    difference = (distance(angle + 1e-6) - distance(angle - 1e-6)) / 2e-6
+    assert_allclose(jax.jit(slope)(angle), difference, rtol=1e-8, atol=1e-9)

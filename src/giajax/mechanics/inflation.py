@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from ..runtime.arrays import Array, Float, Scalar
+from ..runtime.arrays import Array, Float, Scalar, larger, limited
 from ..runtime.text import InputError
 from ..schema import GAS, PORTS, SKIN, SUPPLY, FillingSection
 from ..schema.parameters import declared, inline, parameter, replace
@@ -109,9 +109,9 @@ def mass_flow(gas: Gas, hole: Hole, before: Numbers, after: Numbers) -> Numbers:
     Pressures on both sides are absolute ones, Pa; the hole may be several.
     """
     k, rt = gas.heat_capacity_ratio, gas.specific_energy
-    upstream = jnp.maximum(before, after)
+    upstream = larger(before, after)
     most = 1 - critical_ratio(gas)
-    signed = jnp.clip((before - after) / upstream, -most, most)
+    signed = limited((before - after) / upstream, -most, most)
     drop = jnp.abs(signed)
     # g over the drop, which has a limit where there is none.
     known = jnp.where(drop == 0, most, drop)
@@ -180,7 +180,7 @@ def inflow(gas: Gas, supply: Supply, pressure: Scalar, supplied: Scalar) -> Scal
     hole = Hole(supply.nozzle_diameter, supply.nozzle_length, supply.nozzle_coefficient)
     room = gas.ambient_pressure
     # A step that the integrator tries may have emptied the bottle.
-    return mass_flow(gas, hole, jnp.maximum(room + before, room / 2), room + pressure)
+    return mass_flow(gas, hole, larger(room + before, room / 2), room + pressure)
 
 
 Floats = npt.NDArray[np.float64]

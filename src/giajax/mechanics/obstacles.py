@@ -15,6 +15,8 @@ from ..runtime.arrays import (
     Bool,
     Float,
     dot,
+    larger,
+    limited,
     on_device,
     rotate,
     rotation_vector_to_quaternion,
@@ -47,7 +49,7 @@ class Lines(NamedTuple):
     def out(self, place: Array) -> Array:
         """From the nearest point of the box to points of the lines, m."""
         x = self.at(place)
-        return jnp.sign(x) * jnp.maximum(jnp.abs(x) - self.half, 0)
+        return jnp.sign(x) * larger(jnp.abs(x) - self.half, 0)
 
 
 def within_faces(lines: Lines) -> tuple[PerPair, PerPair, tuple[Vectors, Vectors]]:
@@ -96,7 +98,7 @@ def nearest(
         x: points in the frames of the boxes, m.
         half, shared: as of `Lines`.
     """
-    outside = jnp.maximum(jnp.abs(x) - half, 0)
+    outside = larger(jnp.abs(x) - half, 0)
     length = safe_norm(outside)
     out = length > 0
     # A shared face is far away from everything inside. Upper faces first, then lower ones.
@@ -206,7 +208,7 @@ def _search(lines: Lines) -> _Found:
     below, above = look(low)[1], look(high)[1]
     change = above - below
     part = jnp.where(change > 0, -below / jnp.where(change > 0, change, 1), 0.5)
-    lowest = low + (high - low) * jnp.clip(part, 0, 1)
+    lowest = low + (high - low) * limited(part, 0, 1)
     limit = lines.radius**2
     touching = some & (look(lowest)[0] < limit)
 
@@ -225,9 +227,9 @@ def _search(lines: Lines) -> _Found:
         bend = (tilt - tilt_within) / jnp.where(width > 0, width, 1)
         # The root next to `outer` of the parabola through it.
         excess = square - limit
-        root = tilt + jnp.sqrt(jnp.maximum(tilt * tilt - bend * excess, 0))
+        root = tilt + jnp.sqrt(larger(tilt * tilt - bend * excess, 0))
         back = excess / jnp.where(root > 0, root, 1)
-        place = jnp.where(reached, outer - sign * jnp.clip(back, 0, width), outer)
+        place = jnp.where(reached, outer - sign * limited(back, 0, width), outer)
         place = jnp.where(touching, place, first)
         face = jnp.where(reached[None], 0, faces[1 if sign > 0 else 0])
         return _Knot(place, reached, face)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ..mechanics.arm import Arm
 from ..recordings import Channel, Definition, Run
-from ..runtime.arrays import Array, Float, Scalar, on_device
+from ..runtime.arrays import Array, Float, Scalar, larger, on_device
 from ..runtime.programs import program
 from ..runtime.solvers import as_text, from_text
 from ..runtime.text import InputError
@@ -429,7 +429,7 @@ class ArmModel(AbstractModel):
         delay = self.sensors.camera.delay
         if delay is not None and self.arm.joints.drive_lag is None:
             # To the first order one is the other, so that no derivative tells them apart.
-            late = {CAMERA.delay.path: 0.0, JOINTS.drive_lag.path: jnp.maximum(delay, 0)}
+            late = {CAMERA.delay.path: 0.0, JOINTS.drive_lag.path: larger(delay, 0)}
             others["joints.drive_lag = camera.delay, camera.delay = 0"] = replace(self, late)
         return others
 

@@ -8,7 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..mechanics.arm import Arm, pose
-from ..runtime.arrays import Array, Bool, Float, Scalar, rotate, rotation_vector_to_quaternion
+from ..runtime.arrays import (
+    Array,
+    Bool,
+    Float,
+    Scalar,
+    rotate,
+    rotation_vector_to_quaternion,
+    smaller,
+)
 from ..runtime.text import InputError
 from ..schema import PINHOLE
 from ..schema.parameters import parameter
@@ -40,7 +48,7 @@ def distorted(
     k1, k2, p1, p2, k3 = coefficients
     x, y = flat
     squared = x * x + y * y
-    held = jnp.minimum(squared, _STEEPEST**2)
+    held = smaller(squared, _STEEPEST**2)
     radial = 1 + held * (k1 + held * (k2 + held * k3))
     return jnp.stack(
         [

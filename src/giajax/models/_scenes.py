@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..mechanics.arm import Arm, drag_force, pose
-from ..mechanics.joint import JointGeometry, check_geometry, muscle_path
+from ..mechanics.joint import Bend, JointGeometry, check_geometry, muscle_path
 from ..mechanics.obstacles import owners, solids
 from ..recordings import Run
 from ..runtime.arrays import Array, Bool, Float, cross, dot, safe_norm, scaled
@@ -182,9 +182,9 @@ def joint_scene(
     """
     size = np.asarray(angles, dtype=float)
     check_geometry(geometry, size)
-    bend = jnp.asarray(size, dtype=jnp.result_type(float))
+    angle = jnp.asarray(size, dtype=jnp.result_type(float))
     side = size >= 0 if inner is None else np.asarray(inner, dtype=bool)
-    path = muscle_path(geometry, bend, jnp.asarray(side))
+    path, bend = muscle_path(geometry, angle, jnp.asarray(side)), Bend.by(angle)
     anchor, wire_end, shoulder = (
         np.stack([np.asarray(part) for part in point(bend)], axis=-1)
         for point in (geometry.anchor, geometry.wire_end, geometry.contact)

@@ -127,6 +127,32 @@ def safe_norm(x: Float[Array, "3 *shape"]) -> Float[Array, "*shape"]:
     return jnp.where(zero, 0, jnp.sqrt(jnp.where(zero, 1, square)))
 
 
+def larger(x: Array, y: Array | float) -> Array:
+    """The larger of two, element by element; where both are equal, the derivative is that of x.
+
+    This, and the functions below, choose by a comparison. The derivatives of `jnp.maximum`,
+    `jnp.minimum`, `jnp.clip` and `jnp.hypot` ask whether the result equals an argument. A compiler
+    may work out that argument twice and round it differently (a product and a sum in one
+    instruction): then nothing is equal, and the derivative is 0 where it is not.
+    """
+    return jnp.where(x < y, y, x)
+
+
+def smaller(x: Array, y: Array | float) -> Array:
+    """The smaller of two, element by element; where both are equal, the derivative is that of x."""
+    return jnp.where(x > y, y, x)
+
+
+def limited(x: Array, low: Array | float, high: Array | float) -> Array:
+    """x within two limits, element by element; at a limit, the derivative is that of x."""
+    return smaller(larger(x, low), high)
+
+
+def hypotenuse(x: Array, y: Array) -> Array:
+    """sqrt(x^2 + y^2), for lengths whose squares are neither 0 nor infinite."""
+    return jnp.sqrt(x * x + y * y)
+
+
 def quaternion_product(
     a: Float[Array, "4 *shape"], b: Float[Array, "4 *shape"]
 ) -> Float[Array, "4 *shape"]:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Bool, Float, Int, Scalar, cross, dot, scaled
+from ...runtime.arrays import Array, Bool, Float, Int, Scalar, cross, dot, larger, limited, scaled
 from ..obstacles import Lines, Nearest, nearest, owners, patches, solids
 from ._arm import Arm
 from ._inverse_dynamics import load_torque
@@ -72,7 +72,7 @@ def meeting(arm: Arm, contact: Contact, here: Pose, rates: PerJoint, pairs: Pair
         wide = jnp.diff(found.knots, axis=0).T[:, :, None]
         at = flat(found.knots[:-1].T[:, :, None] + wide * nodes[None, None])
         near = _look(moved, at)
-        deep = jnp.maximum(lines.radius[:, None] - near.distance, 0)
+        deep = larger(lines.radius[:, None] - near.distance, 0)
         depth = jnp.where(found.touching[:, None], deep, 0)
         load = line * depth * flat(wide * weights[None, None])
         return jnp.sum(load * depth) / 2, (at, near.distance, near.normal, depth, load)
@@ -119,9 +119,9 @@ def flattening(arm: Arm, contact: Contact, here: Pose, pairs: Pairs) -> Float[Ar
     turning = slopes[one] - slopes[other]
     alike = (faces[other] - faces[one]) / jnp.where(turning == 0, jnp.inf, turning)
     begin, end = found.knots[:1], found.knots[-1:]
-    places = jnp.concatenate([begin, found.nearest[None], jnp.clip(alike, begin, end), end])
+    places = jnp.concatenate([begin, found.nearest[None], limited(alike, begin, end), end])
     depth = lines.radius - jnp.min(_look(lines, places.T).distance, axis=1)
-    return jnp.where(found.touching, jnp.maximum(depth, 0), 0)
+    return jnp.where(found.touching, larger(depth, 0), 0)
 
 
 def in_reach(arm: Arm, contact: Contact, here: Pose) -> Bool[Array, "link box"]:
@@ -130,7 +130,7 @@ def in_reach(arm: Arm, contact: Contact, here: Pose) -> Bool[Array, "link box"]:
     boxes = solids(contact.obstacles)
     beside = here.centre[:, :, None] - boxes.centre[:, None]
     middle = jnp.sum(boxes.frame[:, :, None] * beside[:, None], axis=0)
-    outside = jnp.maximum(jnp.abs(middle) - boxes.half[:, None], 0)
+    outside = larger(jnp.abs(middle) - boxes.half[:, None], 0)
     reach = (arm.links.length + arm.links.diameter) / 2
     return dot(outside, outside) < reach[:, None] ** 2
 
@@ -233,7 +233,7 @@ def of_near(arm: Arm, contact: Contact, here: Pose, of: Callable[[Pairs], T]) ->
 
 def pressing(contact: Contact, met: Meeting) -> Numbers:
     """Normal forces at the points of a meeting, N."""
-    return met.load * jnp.maximum(1 + contact.damping * met.closing, 0)
+    return met.load * larger(1 + contact.damping * met.closing, 0)
 
 
 def friction_force(
@@ -328,7 +328,7 @@ def contact_stiffness(
 
     def of(pairs: Pairs) -> Stiffness:
         met = meeting(arm, contact, here, rates, pairs)
-        harder = jnp.maximum(1 + contact.damping * met.closing, 0)
+        harder = larger(1 + contact.damping * met.closing, 0)
         deep = met.depth > 0
         line = jnp.where(deep, met.load / jnp.where(deep, met.depth, 1), 0)
         damper = jnp.where(harder > 0, met.load * contact.damping, 0)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Float, Scalar, dot, safe_norm, scaled
+from ...runtime.arrays import Array, Float, Scalar, dot, safe_norm, scaled, smaller
 from ...runtime.text import InputError, tried
 from ...schema.parameters import is_concrete
 
@@ -34,7 +34,7 @@ def cylinder_drag_coefficient(reynolds: Float[Array, "*shape"]) -> Float[Array, 
 
 def _log10(reynolds: Array) -> Array:
     # Smooth at Re = 0, where an arm at rest is differentiated.
-    square = jnp.minimum(reynolds * reynolds + _LOWEST**2, _HIGHEST**2)
+    square = smaller(reynolds * reynolds + _LOWEST**2, _HIGHEST**2)
     x = jnp.log(square) / (2 * np.log(10))
     value = _LINE[0] + _LINE[1] * x
     for height, place, width in zip(_HEIGHT, _PLACE, _WIDTH, strict=True):

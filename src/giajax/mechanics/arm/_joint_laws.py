@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Bool, Float, Scalar
+from ...runtime.arrays import Array, Bool, Float, Scalar, larger, limited
 from ...runtime.plugins import optional, register
 from ...runtime.text import InputError
 from ...schema import JOINT_MEMORY, JOINT_STOPS
@@ -181,7 +181,7 @@ class AbstractJointLaw(eqx.Module):
         ]
         torque = -jnp.stack([each for each, _ in slopes])
         forgetting = -jnp.stack([each[row] for row, (_, each) in enumerate(slopes)])
-        return torque, jnp.where(torque * filling < 0, 0, filling), jnp.maximum(forgetting, 0)
+        return torque, jnp.where(torque * filling < 0, 0, filling), larger(forgetting, 0)
 
     @property
     @optional
@@ -446,12 +446,12 @@ class EndStops(AbstractJointLaw):
         return self._stored(self.lower - at.angles) + self._stored(at.angles - self.upper)
 
     def _force(self, beyond: Array, closing: Array) -> Array:
-        entering = jnp.clip(beyond, 0, self.blend)
-        way = entering**2 / (2 * self.blend) + jnp.maximum(beyond - self.blend, 0)
-        return self.stiffness * way * jnp.maximum(1 + self.damping * closing, 0)
+        entering = limited(beyond, 0, self.blend)
+        way = entering**2 / (2 * self.blend) + larger(beyond - self.blend, 0)
+        return self.stiffness * way * larger(1 + self.damping * closing, 0)
 
     def _stored(self, beyond: Array) -> Array:
-        entering, rest = jnp.clip(beyond, 0, self.blend), jnp.maximum(beyond - self.blend, 0)
+        entering, rest = limited(beyond, 0, self.blend), larger(beyond - self.blend, 0)
         return self.stiffness * (entering**3 / (6 * self.blend) + rest * (self.blend + rest) / 2)
 
 
@@ -567,7 +567,7 @@ class Stops(AbstractJointLaw):
     def return_mapped(self, angles: PerJoint, states: States) -> States:
         """The states (rad) after a motion to these angles (rad) in one direction."""
         width = self._yield_angles
-        return jnp.clip(states, angles[None] - width, angles[None] + width)
+        return limited(states, angles[None] - width, angles[None] + width)
 
     def torque(self, at: JointState) -> PerJoint:
         """Torque against the strain, N m."""
@@ -591,7 +591,7 @@ class Stops(AbstractJointLaw):
 
     def _strain(self, at: JointState) -> States:
         """Strain of each over its yield angle, between -1 and 1."""
-        return jnp.clip((at.angles[None] - at.states) / self._yield_angles, -1, 1)
+        return limited((at.angles[None] - at.states) / self._yield_angles, -1, 1)
 
     def _slide(self, at: JointState) -> Bool[Array, "row joint"]:
         strain, width = at.angles[None] - at.states, self._yield_angles

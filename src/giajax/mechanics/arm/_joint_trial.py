@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Float, Scalar
+from ...runtime.arrays import Array, Float, Scalar, larger, limited, smaller
 from ...runtime.process import enable_x64
 from ...runtime.programs import NoStructureError, content, program
 from ...runtime.text import InputError, tried
@@ -148,14 +148,14 @@ def _integrated(
 
     def one(carry: Any) -> Any:
         count, time, states, step = carry
-        step = jnp.minimum(step, end - time)
+        step = smaller(step, end - time)
         first = step * rate(time, states)
         error = (step * rate(time + step, states + first) - first) / 2
-        size = jnp.maximum(jnp.max(jnp.abs(states)), jnp.max(jnp.abs(first)))
+        size = larger(jnp.max(jnp.abs(states)), jnp.max(jnp.abs(first)))
         wrong = jnp.max(jnp.abs(error)) / (1e-3 * size + 1e-300)
         done = wrong < 1
         states = jnp.where(done, states + first + error, states)
-        wider = step * jnp.clip(0.9 / jnp.sqrt(wrong + 1e-300), 0.2, 5)
+        wider = step * limited(0.9 / jnp.sqrt(wrong + 1e-300), 0.2, 5)
         return count + 1, jnp.where(done, time + step, time), states, wider
 
     end_of: Array = jax.lax.while_loop(going, one, (0, time, states, (end - time) / 10))[2]
@@ -163,7 +163,7 @@ def _integrated(
 
 
 def _size(x: Array) -> Array:
-    return jnp.maximum(jnp.abs(x), 1)
+    return larger(jnp.abs(x), 1)
 
 
 def _values(law: AbstractJointLaw, at: JointState) -> dict[str, Array]:

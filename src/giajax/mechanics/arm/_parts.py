@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Bool, Float, Scalar, safe_norm, scaled
+from ...runtime.arrays import Array, Bool, Float, Scalar, larger, safe_norm, scaled
 from ...runtime.text import InputError
 from ...schema import AIR, BUOYANCY, CONTACT, JOINTS, LINKS, POINT_MASSES
 from ...schema.parameters import inline, is_concrete, parameter
@@ -211,7 +211,7 @@ class Joints(eqx.Module):
             return self
         usual = 1.0 if self.stiffness_factor is None else self.stiffness_factor
         # Joints that have leaked out do not push.
-        grown = usual * jnp.maximum(1 + self.stiffness_drift * time, 0)
+        grown = usual * larger(1 + self.stiffness_drift * time, 0)
         return dataclasses.replace(self, stiffness_factor=grown, stiffness_drift=None)
 
     @property

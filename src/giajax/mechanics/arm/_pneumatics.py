@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Float, Scalar
+from ...runtime.arrays import Array, Float, Scalar, larger
 from ...runtime.text import InputError
 from ...schema import DRIVE
 from ...schema.parameters import held, parameter
@@ -50,7 +50,7 @@ def stiffest_pair(pair: JointPair) -> Scalar:
         return muscle_torques(pair, pressures, angle, ahead), own
 
     (first, second), own = jax.jvp(torques, (angles,), (jnp.ones_like(angles),))[1]
-    return jnp.max(jnp.maximum(-first, 0) + jnp.maximum(second, 0) + own)
+    return jnp.max(larger(-first, 0) + larger(second, 0) + own)
 
 
 class MuscleDrive(eqx.Module):

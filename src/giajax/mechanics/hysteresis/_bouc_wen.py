@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Bool, Float, Scalar
+from ...runtime.arrays import Array, Bool, Float, Scalar, limited
 from ...runtime.text import InputError
 from ...schema import BOUC_WEN, BOUC_WEN_OSCILLATOR
 from ...schema.parameters import parameter
@@ -138,7 +138,7 @@ def _is_dahl_jvp(primals: Any, tangents: Any) -> tuple[Array, None]:
 def _leg(way: Array, z: Array, nu: Scalar, delta: Scalar) -> Array:
     """z after one motion, integrated."""
     most, one = _FULL + _DECAY / nu, jnp.ones_like(nu)
-    width = jnp.clip(way, -most, most) / _STEPS
+    width = limited(way, -most, most) / _STEPS
     return _by_steps(lambda z: bouc_wen_rate(width, z, one, one, 1 - delta, delta, nu), z, _STEPS)
 
 

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ...runtime.arrays import Array, Float, Scalar
+from ...runtime.arrays import Array, Float, Scalar, larger, smaller
 from ...runtime.text import InputError
 from ...schema import PLAY, STOP
 from ...schema.parameters import is_concrete, parameter
@@ -108,7 +108,7 @@ def clip(value: Array, lower: Array, upper: Array) -> Array:
     `lax.clamp` differentiates to 0 there, which is where a play is after every clipped step
     that is followed by a rest.
     """
-    return jnp.minimum(jnp.maximum(value, lower), upper)
+    return smaller(larger(value, lower), upper)
 
 
 def play(

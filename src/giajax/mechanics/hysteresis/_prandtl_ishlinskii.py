@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 import equinox as eqx
 import jax.numpy as jnp
 
-from ...runtime.arrays import Array, Float, Scalar
+from ...runtime.arrays import Array, Float, Scalar, larger
 from ...runtime.text import InputError
 from ...schema import DEAD_ZONES, MODIFIED_PRANDTL_ISHLINSKII, PRANDTL_ISHLINSKII
 from ...schema.parameters import is_concrete, parameter
@@ -81,7 +81,7 @@ class DeadZones(eqx.Module):
         # A jump is a piece that is very steep.
         least = _LEVEL * jnp.max(slopes)
         slope, upper, lower = (
-            jnp.maximum(each, least) for each in (self.slope, self.upper_slopes, self.lower_slopes)
+            larger(each, least) for each in (self.slope, self.upper_slopes, self.lower_slopes)
         )
         return DeadZones(
             1 / slope,
@@ -93,7 +93,7 @@ class DeadZones(eqx.Module):
 def _over(x: Array, thresholds: Float[Array, " n"]) -> Array:
     """By how much numbers are over each threshold, along a new last axis."""
     row = jnp.reshape(thresholds, (1,) * x.ndim + thresholds.shape)
-    return jnp.maximum(jnp.expand_dims(x, -1) - row, 0)
+    return larger(jnp.expand_dims(x, -1) - row, 0)
 
 
 def _sorted(thresholds: Array, slopes: Array) -> tuple[Array, Array]:

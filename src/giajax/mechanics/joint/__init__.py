@@ -8,6 +8,7 @@ from ._equilibria import (
 from ._geometry import (
     BRANCHES as BRANCHES,
     LARGEST_ANGLE as LARGEST_ANGLE,
+    Bend as Bend,
     JointGeometry as JointGeometry,
     MusclePath as MusclePath,
     branch_angles as branch_angles,

@@ -1,10 +1,14 @@
 """Geometry of one joint, and the path of its muscle on all four branches (eqs 2, 3, 7 and 8)."""
 
+import functools
+from typing import NamedTuple
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Bool, Float, Scalar, bisect
+from ...runtime.arrays import Array, Bool, Float, Scalar, bisect, hypotenuse, larger
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import GEOMETRY
@@ -15,6 +19,31 @@ Shaped = Float[Array, "*shape"]
 LARGEST_ANGLE = float(np.deg2rad(60.0))  # how far the joint bends (table 2), rad
 
 Point = tuple[Array, Array]
+
+
+class Bend(NamedTuple):
+    """Cosine and sine of half a bending angle, by which each link turns.
+
+    They are worked out once an angle: a compiler that works them out for each use makes muscles
+    twice as dear.
+    """
+
+    cosine: Array
+    sine: Array
+
+    @classmethod
+    def by(cls, angle: Shaped) -> "Bend":
+        """The bend by an angle, rad."""
+        return cls(jnp.cos(angle / 2), jnp.sin(angle / 2))
+
+    @property
+    def back(self) -> "Bend":
+        """The bend by the same angle to the other side."""
+        return Bend(self.cosine, -self.sine)
+
+    def turned(self, x: Array, y: Array) -> Point:
+        """A point of the right link in the frame of the bisector, whose y points to the muscle."""
+        return x * self.cosine - y * self.sine, x * self.sine + y * self.cosine
 
 
 class JointGeometry(eqx.Module):
@@ -41,31 +70,22 @@ class JointGeometry(eqx.Module):
     wire_length: Scalar = parameter(GEOMETRY.wire_length)
     muscle_length: Scalar = parameter(GEOMETRY.muscle_length)
 
-    def anchor(self, angle: Shaped) -> Point:
+    def anchor(self, bend: Bend) -> Point:
         """C = N: the muscle's end on the right link, in the frame of the bisector, m."""
-        return turned(self.anchor_x, self.anchor_y, angle)
+        return bend.turned(self.anchor_x, self.anchor_y)
 
-    def wire_end(self, angle: Shaped) -> Point:
+    def wire_end(self, bend: Bend) -> Point:
         """D: the wire's end on the right link, in the frame of the bisector, m."""
-        return turned(self.wire_x, self.wire_y, angle)
+        return bend.turned(self.wire_x, self.wire_y)
 
-    def contact(self, angle: Shaped) -> Point:
+    def contact(self, bend: Bend) -> Point:
         """Q: the balloon's shoulder on the right link, in the frame of the bisector, m."""
-        return turned(self.contact_x, self.contact_y, angle)
+        return bend.turned(self.contact_x, self.contact_y)
 
 
-def turned(x: Array, y: Array, angle: Shaped) -> Point:
-    """A point of the right link in the frame of the bisector, whose y points to the muscle.
-
-    Each link turns by half the bending angle.
-    """
-    cosine, sine = jnp.cos(angle / 2), jnp.sin(angle / 2)
-    return x * cosine - y * sine, x * sine + y * cosine
-
-
-def taut_bush_height(geometry: JointGeometry, angle: Shaped) -> Array:
+def taut_bush_height(geometry: JointGeometry, bend: Bend) -> Array:
     """H_y where the wire is taut (eq. 3): the outer root, m; NaN where there is none."""
-    end_x, end_y = geometry.wire_end(angle)
+    end_x, end_y = geometry.wire_end(bend)
     square = (geometry.wire_length / 2) ** 2 - end_x**2
     # The inner `where` keeps the slope of the root finite where there is no root.
     return end_y + jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), jnp.nan)
@@ -114,10 +134,10 @@ def check_geometry(geometry: JointGeometry, angles: np.ndarray | None = None) ->
 
 def _complaints(geometry: JointGeometry, angle: Shaped, *, inner: bool) -> list[tuple[Array, str]]:
     """What may be impossible on one side: where it is, and a sentence; of the outer wire first."""
-    wire = geometry.wire_length
-    anchor_x, anchor_y = geometry.anchor(angle)
-    contact_x, contact_y = geometry.contact(angle)
-    wire_x, wire_y = geometry.wire_end(angle)
+    wire, bend = geometry.wire_length, Bend.by(angle)
+    anchor_x, anchor_y = geometry.anchor(bend)
+    contact_x, contact_y = geometry.contact(bend)
+    wire_x, wire_y = geometry.wire_end(bend)
     if inner:
         return [
             (
@@ -130,10 +150,10 @@ def _complaints(geometry: JointGeometry, angle: Shaped, *, inner: bool) -> list[
                 "the muscle's ends A and C have crossed: make anchor_x larger or anchor_y smaller",
             ),
         ]
-    crossing = jnp.maximum(anchor_y, contact_y)
+    crossing = larger(anchor_y, contact_y)
     return [
         (
-            2 * jnp.hypot(wire_x, crossing - wire_y) > wire,
+            2 * hypotenuse(wire_x, crossing - wire_y) > wire,
             "the wire does not reach around the outer muscle, where it must be slack: make "
             "wire_length larger or contact_y smaller",
         ),
@@ -197,27 +217,55 @@ def muscle_path(
     `inner` is the side, which matters at 0 only; by default a muscle at 0 is the inner one.
     """
     inner = angle >= 0 if inner is None else inner
-    anchor_x, anchor_y = geometry.anchor(angle)
-    end_x, end_y = geometry.wire_end(angle)
-    # What belongs to the other side is evaluated at 0, where it always exists.
-    held = taut_bush_height(geometry, jnp.where(inner, angle, 0))
+    sides = (
+        inner_path(geometry, inner_bend(angle, inner)),
+        outer_path(geometry, outer_bend(angle, inner)),
+    )
+    return jax.tree.map(functools.partial(jnp.where, inner), *sides)
+
+
+def inner_bend(angle: Shaped, inner: Bool[Array, "*shape"]) -> Bend:
+    """The bend of an inner muscle; 0, where its path always exists, for an outer one."""
+    return Bend.by(jnp.where(inner, angle, 0))
+
+
+def outer_bend(angle: Shaped, inner: Bool[Array, "*shape"]) -> Bend:
+    """The bend of an outer muscle; 0, where its path always exists, for an inner one."""
+    return Bend.by(jnp.where(inner, 0, angle))
+
+
+def inner_path(geometry: JointGeometry, bend: Bend) -> MusclePath:
+    """Path of the inner muscle: over the bush where its wire is taut, else straight."""
+    anchor_x, anchor_y = geometry.anchor(bend)
+    end_x, end_y = geometry.wire_end(bend)
+    held = taut_bush_height(geometry, bend)
     taut = anchor_y > held
-    contact_x, contact_y = geometry.contact(jnp.where(inner, 0, angle))
-    wrapped = anchor_y < contact_y
-    engaged = jnp.where(inner, taut, wrapped)
-    # H, or O: where the outer muscle crosses the bisector.
-    crossing = jnp.maximum(anchor_y, contact_y)
-    height = jnp.where(inner, jnp.where(taut, held, anchor_y), crossing)
-    # Where the path bends: at the bush, or at the balloon's shoulder.
-    corner_x = jnp.where(inner, 0, contact_x)
-    bent = corner_x + jnp.hypot(anchor_x - corner_x, anchor_y - height)
-    spanned = 2 * jnp.hypot(end_x, height - end_y)
+    height = jnp.where(taut, held, anchor_y)
+    slack = geometry.wire_length - 2 * hypotenuse(end_x, height - end_y)
     return MusclePath(
-        inner=inner,
-        engaged=engaged,
-        half_length=jnp.where(engaged, bent, anchor_x),
+        inner=jnp.ones_like(taut),
+        engaged=taut,
+        half_length=jnp.where(taut, hypotenuse(anchor_x, anchor_y - height), anchor_x),
         height=height,
-        wire_slack=jnp.where(inner & taut, 0, geometry.wire_length - spanned),
+        wire_slack=jnp.where(taut, 0, slack),
+    )
+
+
+def outer_path(geometry: JointGeometry, bend: Bend) -> MusclePath:
+    """Path of the outer muscle: around the balloon's shoulders where it has to, else straight."""
+    anchor_x, anchor_y = geometry.anchor(bend)
+    end_x, end_y = geometry.wire_end(bend)
+    contact_x, contact_y = geometry.contact(bend)
+    wrapped = anchor_y < contact_y
+    # Where the muscle crosses the bisector.
+    height = larger(anchor_y, contact_y)
+    bent = contact_x + hypotenuse(anchor_x - contact_x, anchor_y - height)
+    return MusclePath(
+        inner=jnp.zeros_like(wrapped),
+        engaged=wrapped,
+        half_length=jnp.where(wrapped, bent, anchor_x),
+        height=height,
+        wire_slack=geometry.wire_length - 2 * hypotenuse(end_x, height - end_y),
     )
 
 
@@ -237,7 +285,8 @@ def _branch_angles(geometry: JointGeometry) -> tuple[Array, Array]:
     half_turn = jnp.asarray(jnp.pi / 2, dtype=jnp.result_type(float))
 
     def above(angle: Array) -> Array:
-        return geometry.anchor(angle)[1] - taut_bush_height(geometry, angle)
+        bend = Bend.by(angle)
+        return geometry.anchor(bend)[1] - taut_bush_height(geometry, bend)
 
     straight = jnp.zeros_like(half_turn)
     taut = bisect(above, straight, half_turn)
@@ -245,4 +294,4 @@ def _branch_angles(geometry: JointGeometry) -> tuple[Array, Array]:
     wrap = 2 * jnp.arctan2(
         geometry.anchor_y - geometry.contact_y, geometry.anchor_x - geometry.contact_x
     )
-    return taut, jnp.where(wrap > half_turn, jnp.nan, -jnp.maximum(wrap, 0))
+    return taut, jnp.where(wrap > half_turn, jnp.nan, -larger(wrap, 0))

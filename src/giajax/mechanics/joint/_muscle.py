@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from ...runtime.arrays import Array, Bool, Float, Int, Scalar
+from ...runtime.arrays import Array, Bool, Float, Int, Scalar, larger, limited
 from ...runtime.text import InputError
 from ...schema import BRAIDED, EMPIRICAL, FRICTION, PISTON
 from ...schema.parameters import is_concrete, parameter
@@ -86,7 +86,7 @@ class AbstractMuscle(eqx.Module):
     def force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
         """Force, N: that of the law, or 0 where the actuator is slack."""
         force = self.signed_force(pressure, contraction, length)
-        return force if self.pushes else jnp.maximum(force, 0)
+        return force if self.pushes else larger(force, 0)
 
     def answer(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAnswer:
         """Pressure for a force at a contraction, or the nearest one, and why the force is out of
@@ -94,9 +94,9 @@ class AbstractMuscle(eqx.Module):
 
         Nothing is checked.
         """
-        needed, gain = self.pressure_for(jnp.maximum(force, 0), contraction, length)
+        needed, gain = self.pressure_for(larger(force, 0), contraction, length)
         able = gain > 0
-        pressure = jnp.where(able, jnp.clip(needed, 0, self.pressure_limit), self.pressure_limit)
+        pressure = jnp.where(able, limited(needed, 0, self.pressure_limit), self.pressure_limit)
         push, nothing = force < -_NO_FORCE, ~able & (force <= _NO_FORCE)
         # Where the muscle cannot pull, it has no force without pressure.
         pressure = jnp.where(push | nothing, 0, pressure)
@@ -187,13 +187,13 @@ class BraidedMuscle(AbstractMuscle):
     def _per_pascal(self, contraction: Shaped) -> Shaped:
         area = jnp.pi / 4 * self.diameter**2
         # A muscle that k has used up does not pull again: the square must not grow on.
-        left = jnp.maximum(1 - self.end_correction * contraction, 0)
+        left = larger(1 - self.end_correction * contraction, 0)
         shrunk = 3 / jnp.tan(self.braid_angle) ** 2 * left**2
         return self.effectiveness * area * (shrunk - 1 / jnp.sin(self.braid_angle) ** 2)
 
     def signed_force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
         """Force by the law, N."""
-        return jnp.maximum(pressure - self.dead_band, 0) * self._per_pascal(contraction)
+        return larger(pressure - self.dead_band, 0) * self._per_pascal(contraction)
 
     def pressure_for(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAndGain:
         """Pressure for a force, Pa, and the force per pascal."""
@@ -231,7 +231,7 @@ class EmpiricalMuscle(AbstractMuscle):
 
     def largest_force(self, length: Scalar) -> Scalar:
         """F_max of a muscle of this length at rest (m), N."""
-        reach = jnp.maximum(length - self.end_length, 0) / self.length_scale
+        reach = larger(length - self.end_length, 0) / self.length_scale
         return self.force_limit * (2 / jnp.pi) * jnp.arctan(reach)
 
     def _passive(self, strain: Shaped) -> Shaped:

@@ -1,5 +1,6 @@
 """The bending-angle controller (fig. 6): two muscles against each other, and their pressures."""
 
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,9 +13,17 @@ from ...runtime.arrays import Array, Bool, Float, Scalar, polish
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema.parameters import is_concrete
-from ._geometry import LARGEST_ANGLE, Shaped, check_geometry
+from ._geometry import LARGEST_ANGLE, Bend, Shaped, check_geometry
 from ._muscle import AbstractMuscle, BraidedMuscle, PressureAnswer
-from ._statics import Joint, MuscleState, balanced, muscle_balance, resistance
+from ._statics import (
+    Joint,
+    MuscleState,
+    Tension,
+    balance_of,
+    inner_tension,
+    outer_tension,
+    resistance,
+)
 
 
 class JointPair(eqx.Module):
@@ -121,17 +130,23 @@ def commanded(pair: JointPair, angle: Array, load: Array, torque: Array) -> Pair
         load: torque from outside, towards negative angles, N m, of the same shape.
         torque: co-contraction torque, N m, of the same shape.
     """
-    ahead = angle >= 0
-    share = jnp.stack([jnp.where(ahead, load, 0), jnp.where(ahead, 0, -load)])
-    sides, angles = jnp.stack([ahead, ~ahead]), jnp.stack([angle, -angle])
-    # Both muscles at once are half of the operations.
-    state = balanced(pair.joint, angles, torque[None] + share, sides)
-    answer = pair.muscle.answer(state.force, state.contraction, pair.length)
-    (first, reached), (second, other) = (
-        jax.tree.map(lambda values, muscle=muscle: values[muscle], (state, answer))
-        for muscle in (0, 1)
-    )
-    return PairCommand(angle, first, second, reached, other)
+    ahead, joint = angle >= 0, pair.joint
+    size = jnp.where(ahead, angle, -angle)
+    resisted = jnp.where(ahead, load, -load)  # what of the load acts against the bending
+
+    def answered(
+        unit: Tension, angle: Shaped, torque: Shaped, inner: Array
+    ) -> tuple[MuscleState, PressureAnswer]:
+        state = balance_of(unit, joint.geometry, angle, torque + joint.correction(angle, inner))
+        return state, pair.muscle.answer(state.force, state.contraction, pair.length)
+
+    bend, yes = Bend.by(size), jnp.ones_like(ahead)
+    inner = answered(inner_tension(joint.geometry, bend), size, torque + resisted, yes)
+    outer = answered(outer_tension(joint.geometry, bend.back), -size, torque, ~yes)
+    # The first muscle is the inner one where the joint bends towards it.
+    choose = functools.partial(jnp.where, ahead)
+    first, second = jax.tree.map(choose, inner, outer), jax.tree.map(choose, outer, inner)
+    return PairCommand(angle, first[0], second[0], first[1], second[1])
 
 
 _pair_command = program(commanded)
@@ -163,11 +178,20 @@ def muscle_torques(
     pair: JointPair, pressures: Float[Array, "2 ..."], angle: Shaped, ahead: Array
 ) -> Float[Array, "2 *shape"]:
     """Torque of each muscle of a pair towards its own side, N m; arguments as of `net_torque`."""
-    angles, inner = jnp.stack([angle, -angle]), jnp.stack([ahead, ~ahead])
-    state = muscle_balance(pair.joint.geometry, angles, jnp.ones_like(angles), inner)
-    spread = pressures.reshape(pressures.shape + (1,) * (angles.ndim - pressures.ndim))
-    pressure = jnp.broadcast_to(spread, angles.shape)
-    return pair.muscle.force(pressure, state.contraction, pair.length) * state.lever
+    # One of both is the inner muscle: each side is worked out once, for whichever it is.
+    bend = Bend.by(jnp.where(ahead, angle, -angle))
+    pressure = pressures.reshape(pressures.shape + (1,) * (angle.ndim + 1 - pressures.ndim))
+    first, second = jnp.broadcast_to(pressure, (2, *angle.shape))
+    inner = _torque(pair, jnp.where(ahead, first, second), inner_tension(pair.joint.geometry, bend))
+    outer = _torque(
+        pair, jnp.where(ahead, second, first), outer_tension(pair.joint.geometry, bend.back)
+    )
+    return jnp.stack([jnp.where(ahead, inner, outer), jnp.where(ahead, outer, inner)])
+
+
+def _torque(pair: JointPair, pressure: Shaped, unit: Tension) -> Shaped:
+    contraction = 1 - unit.path.length / pair.length
+    return pair.muscle.force(pressure, contraction, pair.length) * unit.lever
 
 
 class OneSide(NamedTuple):

@@ -1,7 +1,8 @@
 """One joint at rest: the forces that balance its torque, and the corrections alpha and beta."""
 
+import functools
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
 import jax
@@ -9,12 +10,23 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from ...runtime.arrays import Array, Bool, Scalar
+from ...runtime.arrays import Array, Bool, Scalar, hypotenuse, larger, smaller
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import ALPHA, BETA, LOAD
 from ...schema.parameters import inline, is_concrete, parameter
-from ._geometry import JointGeometry, MusclePath, Point, Shaped, check_geometry, muscle_path
+from ._geometry import (
+    Bend,
+    JointGeometry,
+    MusclePath,
+    Point,
+    Shaped,
+    check_geometry,
+    inner_bend,
+    inner_path,
+    outer_bend,
+    outer_path,
+)
 
 # An erratum. With the angle negative on the outer side, the paper prints
 #
@@ -44,7 +56,7 @@ class Alpha(eqx.Module):
 
     def __call__(self, angle: Shaped) -> Shaped:
         """Alpha at bending angles (rad), N m."""
-        return self.offset + self.curvature * jnp.maximum(angle - self.threshold, 0) ** 2
+        return self.offset + self.curvature * larger(angle - self.threshold, 0) ** 2
 
 
 class Beta(eqx.Module):
@@ -62,8 +74,8 @@ class Beta(eqx.Module):
     def __call__(self, angle: Shaped) -> Shaped:
         """Beta at bending angles (rad, of either sign), N m, in the continuous reading."""
         size = jnp.abs(angle)
-        wedge = self.offset * jnp.maximum(1 - size / self.width, 0)
-        return wedge - self.curvature * jnp.maximum(size - self.threshold, 0) ** 2
+        wedge = self.offset * larger(1 - size / self.width, 0)
+        return wedge - self.curvature * larger(size - self.threshold, 0) ** 2
 
     def printed(self, angle: Shaped) -> Shaped:
         """Beta as the paper prints it, for angles <= 0 (rad), N m; 0 where it says nothing."""
@@ -150,7 +162,7 @@ def resistance_energy(correction: Correction, angle: Shaped) -> Shaped:
     beta = correction.beta
     bends = [jnp.asarray(correction.blend), beta.width, beta.threshold, correction.alpha.threshold]
     kinks = jnp.sort(jnp.stack([jnp.asarray(x, size.dtype) for x in bends]))
-    ends = [jnp.zeros_like(size), *(jnp.minimum(size, kink) for kink in kinks), size]
+    ends = [jnp.zeros_like(size), *(smaller(size, kink) for kink in kinks), size]
     energy = jnp.zeros_like(size)
     for start, end in pairwise(ends):
         width = end - start
@@ -192,6 +204,50 @@ class MuscleState(eqx.Module):
         return jnp.where(self.path.inner, inside, jnp.where(self.path.engaged, 3, 2))
 
 
+class Tension(NamedTuple):
+    """What one newton of a muscle's tension does; arrays of one shape.
+
+    Attributes:
+        path: of the muscle.
+        lever: of its force about the joint's centre, m.
+        wire: tension of the wire.
+        push: of the muscle on the balloon of the right link.
+    """
+
+    path: MusclePath
+    lever: Shaped
+    wire: Shaped
+    push: Point
+
+
+def inner_tension(geometry: JointGeometry, bend: Bend) -> Tension:
+    """The tension of an inner muscle (eqs 4 to 6)."""
+    path = inner_path(geometry, bend)
+    anchor, wire_end, taut = geometry.anchor(bend), geometry.wire_end(bend), path.engaged
+    bush = (jnp.zeros_like(path.height), path.height)
+    # Force of the muscle on the right link at C. A straight muscle pulls along -x.
+    bent = _unit(anchor, bush)
+    pull = jnp.where(taut, bent[0], -1), jnp.where(taut, bent[1], 0)
+    # Eq. (4): the wire takes what the muscle pushes the bush along the bisector.
+    hold = _unit(wire_end, bush)
+    wire = jnp.where(taut, -pull[1] / jnp.where(taut, hold[1], 1), 0)
+    lever = _moment(anchor, pull) + wire * _moment(wire_end, hold)
+    return Tension(path, lever, wire, (jnp.zeros_like(lever), jnp.zeros_like(lever)))
+
+
+def outer_tension(geometry: JointGeometry, bend: Bend) -> Tension:
+    """The tension of an outer muscle (eqs 9 to 11)."""
+    path = outer_path(geometry, bend)
+    anchor, contact, wrapped = geometry.anchor(bend), geometry.contact(bend), path.engaged
+    # Force of the muscle on the right link at N.
+    bent = _unit(anchor, (contact[0], path.height))
+    pull = jnp.where(wrapped, bent[0], -1), jnp.where(wrapped, bent[1], 0)
+    # Eq. (9): the push on the balloon's shoulder; the muscle leaves it towards N and towards P.
+    push = jnp.where(wrapped, -pull[0] - 1, 0), jnp.where(wrapped, -pull[1], 0)
+    lever = _moment(anchor, pull) + jnp.where(wrapped, _moment(contact, push), 0)
+    return Tension(path, lever, jnp.zeros_like(lever), push)
+
+
 def muscle_balance(
     geometry: JointGeometry,
     angle: Shaped,
@@ -203,46 +259,36 @@ def muscle_balance(
     Everything is in closed form: the paper's equations are linear in the forces. Bending angles are
     those of the muscle, rad; `inner` is the side, as in `muscle_path`. Nothing is checked.
     """
-    path = muscle_path(geometry, angle, inner)
-    anchor = geometry.anchor(angle)
-    wire_end = geometry.wire_end(angle)
-    contact = geometry.contact(jnp.where(path.inner, 0, angle))
-    bush = (jnp.zeros_like(path.height), path.height)
-    taut, wrapped = path.inner & path.engaged, ~path.inner & path.engaged
-
-    # Force of the muscle on the right link at C or N, per newton of tension. A straight muscle
-    # pulls along -x.
-    bend = (jnp.where(path.inner, 0, contact[0]), path.height)
-    bent = _unit(anchor, bend)
-    pull = jnp.where(path.engaged, bent[0], -1), jnp.where(path.engaged, bent[1], 0)
-    # Eq. (4): the wire takes what the muscle pushes the bush along the bisector.
-    hold = _unit(wire_end, bush)
-    tension = jnp.where(taut, -pull[1] / jnp.where(taut, hold[1], 1), 0)
-    # Eq. (9): the push on the balloon's shoulder; the muscle leaves it towards N and towards P.
-    push = jnp.where(wrapped, -pull[0] - 1, 0), jnp.where(wrapped, 0 - pull[1], 0)
-    # Moments about E (eqs 5, 6, 10, 11), per newton of tension.
-    lever = (
-        _moment(anchor, pull)
-        + tension * _moment(wire_end, hold)
-        + jnp.where(wrapped, _moment(contact, push), 0)
+    inner = angle >= 0 if inner is None else inner
+    unit = jax.tree.map(
+        functools.partial(jnp.where, inner),
+        inner_tension(geometry, inner_bend(angle, inner)),
+        outer_tension(geometry, outer_bend(angle, inner)),
     )
-    force = torque / lever
+    return balance_of(unit, geometry, angle, torque)
+
+
+def balance_of(
+    unit: Tension, geometry: JointGeometry, angle: Shaped, torque: Shaped
+) -> MuscleState:
+    """State of a muscle that balances a torque (N m), from what a newton of it does."""
+    force = torque / unit.lever
     return MuscleState(
         angle=angle,
         torque=torque,
-        path=path,
-        contraction=1 - path.length / geometry.muscle_length,
-        lever=lever,
+        path=unit.path,
+        contraction=1 - unit.path.length / geometry.muscle_length,
+        lever=unit.lever,
         force=force,
-        wire_tension=force * tension,
-        push_x=force * push[0],
-        push_y=force * push[1],
+        wire_tension=force * unit.wire,
+        push_x=force * unit.push[0],
+        push_y=force * unit.push[1],
     )
 
 
 def _unit(tail: Point, head: Point) -> Point:
     x, y = head[0] - tail[0], head[1] - tail[1]
-    length = jnp.hypot(x, y)
+    length = hypotenuse(x, y)
     return x / length, y / length
 
 
