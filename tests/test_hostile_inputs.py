@@ -9,6 +9,8 @@ the tests marked `long` 3,000 others.
 import contextlib
 import copy
 import csv
+import functools
+import importlib
 import io
 import itertools
 import json
@@ -19,6 +21,7 @@ import re
 import resource
 import shutil
 import signal
+import sqlite3
 import time
 import tomllib
 import warnings
@@ -28,6 +31,7 @@ import jax
 import numpy as np
 import polars as pl
 import pytest
+from rosbags.highlevel import AnyReader
 
 from giajax.apps.driving import read_pad
 from giajax.cli import main
@@ -312,7 +316,12 @@ PLAIN = (*TABLES, ".toml", ".json", ".jsonl")
 def damage(path, rng):
     """Damage a file."""
     data, how, kind = path.read_bytes(), rng.random(), path.suffix
-    if how < 0.06:
+    if kind == ".mcap" and how > 0.6:
+        path.write_bytes(rng.choice(list(test_bags.FILES.values())))
+    elif kind == ".db3" and how > 0.6:
+        with contextlib.closing(sqlite3.connect(path)) as base:
+            base.executescript(rng.choice(list(test_bags.SCRIPTS.values())))
+    elif how < 0.06:
         path.unlink()
         where = rng.choice(["folder", "pipe", "zero", "link", "gone", "empty", "UTF-16"])
         if where == "folder":
@@ -322,7 +331,7 @@ def damage(path, rng):
         elif where in ("zero", "link"):
             path.symlink_to("/dev/zero" if where == "zero" else "nowhere")
         elif where != "gone":
-            path.write_bytes(b"" if where == "empty" else data.decode().encode("utf-16"))
+            path.write_bytes(b"" if where == "empty" else data.decode("latin-1").encode("utf-16"))
     elif how < (0.2 if kind in TABLES else 0.4) or kind not in PLAIN:
         path.write_bytes(cut(data, rng))
     elif kind in TABLES:
@@ -463,6 +472,26 @@ IMPORTED = {
 }  # fmt: skip
 
 
+def same_bag(path, home):
+    """What the reader of rosbags finds, of the two things that are imported."""
+    header, *written = cells_of(home / "o.csv")
+    topic, column = (
+        ("/tip", "tip_x_m") if path.suffix == ".mcap" else ("/joint_states", "joint02_angle_deg")
+    )
+    wanted = []
+    with AnyReader([path if path.suffix == ".mcap" else path.parent]) as bag:
+        of = [each for each in bag.connections if each.topic == topic]
+        for each, _, data in bag.messages(of) if of else ():
+            message = bag.deserialize(data, each.msgtype)
+            if topic == "/tip":
+                wanted.append(message.pose.position.x)
+            elif "elbow" in message.name and len(message.position):
+                wanted.append(math.degrees(message.position[message.name.index("elbow")]))
+    found = [number(row[header.index(column)]) for row in written] if column in header else []
+    found, wanted = ([x for x in xs if not math.isnan(x)] for xs in (found, wanted))
+    np.testing.assert_allclose(found, wanted, rtol=1e-8)
+
+
 def same_definition(path, _):
     both = Definition.load(path).contents(), tomllib.loads(path.read_text(encoding="utf-8-sig"))
     # NaN is not NaN.
@@ -498,7 +527,8 @@ SAME = {
     "run.csv": same_table, "loops.csv": same_table, "target.csv": same_table, "log.csv": same_table,
     "film.csv": same_points, "run_fit.toml": same_definition, "run.toml": same_definition,
     "arm.toml": same_definition, "result.json": same_result, "pad.csv": same_pad,
-    "plan.toml": same_plan, **dict.fromkeys(IMPORTED, same_import),
+    "plan.toml": same_plan, "bag.mcap": same_bag, "bag.db3": same_bag,
+    **dict.fromkeys(IMPORTED, same_import),
 }  # fmt: skip
 
 
@@ -510,10 +540,13 @@ class Hangs(KeyboardInterrupt):
 
 
 @contextlib.contextmanager
-def bounded():
-    """So many seconds of the processor, or of waiting, and so much more memory."""
+def bounded(most):
+    """So many seconds of the processor, or of waiting; yields whether it hung, and its memory."""
+
+    seen = {"hung": False}
 
     def stop(number, frame):
+        seen["hung"] = True
         raise Hangs
 
     numbers = signal.SIGPROF, signal.SIGALRM
@@ -522,11 +555,11 @@ def bounded():
     size, resident = (int(n) * resource.getpagesize() for n in STATM.read_text().split()[:2])
     REFERENCES.write_text("5")  # the highest from now on
     # What is compiled meanwhile is taken from the cache, or would be by the next case.
-    signal.setitimer(signal.ITIMER_PROF, 12 * MOST_SECONDS)
-    signal.setitimer(signal.ITIMER_REAL, 36 * MOST_SECONDS)  # of one that waits
+    signal.setitimer(signal.ITIMER_PROF, most + 55.0)
+    signal.setitimer(signal.ITIMER_REAL, 3 * (most + 55.0))  # of one that waits
     resource.setrlimit(resource.RLIMIT_AS, (size + 8 * MOST_BYTES, limits[1]))
     try:
-        yield
+        yield seen
     finally:
         for timer in (signal.ITIMER_PROF, signal.ITIMER_REAL):
             signal.setitimer(timer, 0)
@@ -534,12 +567,12 @@ def bounded():
         for each, handler in zip(numbers, before, strict=True):
             signal.signal(each, handler)
     (highest,) = re.findall(r"VmHWM:\s+(\d+) kB", STATUS.read_text())
-    grown = 1024 * int(highest) - resident
-    assert grown < MOST_BYTES, f"it took {grown:,} bytes"
+    seen["grown"] = 1024 * int(highest) - resident
 
 
-def try_one(seed, home, folder, seconds):
-    """One case; what it was, in words."""
+def try_one(seed, home, folder, seconds, most=None):
+    """One case, within so many seconds; how it ended, and what it took of time and memory."""
+    most = MOST_SECONDS if most is None else most
     rng = random.Random(seed)
     command, damaged = PAIRS[seed % len(PAIRS)]
     words = command.split()
@@ -552,15 +585,17 @@ def try_one(seed, home, folder, seconds):
         damage(folder / damaged, rng)
     what = f"seed {seed}: {' '.join(words)[:300]!r} with {damaged} damaged"
     began, compiling = time.process_time(), seconds()
-    with contextlib.chdir(folder), bounded():
+    with contextlib.chdir(folder), bounded(most) as seen:
         try:
             status, out, err = ended(words)
         except BaseException as error:
             raise AssertionError(f"{what} raised {error!r}") from error
     took = time.process_time() - began - (seconds() - compiling)
+    assert not seen["hung"], f"{what} hangs"
     assert status in (0, 1, 2, 3), f"{what} ended with {status}: {err}"
     assert "Traceback" not in err + out, f"{what}: {err}"
-    assert took < MOST_SECONDS, f"{what} took {took:.1f} s"
+    assert took < most, f"{what} took {took:.1f} s"
+    assert seen["grown"] < MOST_BYTES, f"{what} took {seen['grown']:,} bytes"
     if status == 2:
         last = err.splitlines()[-1]
         assert last.startswith("giajax: "), f"{what}: {err}"
@@ -571,18 +606,12 @@ def try_one(seed, home, folder, seconds):
                 same(Path(damaged), Path())
             except Exception as error:
                 raise AssertionError(f"{what} was read otherwise: {error!r}") from error
-    return command, status
+    return status, took, seen["grown"]
 
 
 @pytest.fixture
-def compiling(monkeypatch):
-    """Seconds of compiling so far; and what takes long ends with a sentence."""
-
-    def not_here(*_, **__):
-        raise InputError("this takes long, so that it is not computed here: leave it out")
-
-    for module, name in LONG:
-        monkeypatch.setattr(f"{module}.{name}", not_here)
+def compiling():
+    """Seconds of compiling so far."""
     total = [0.0]
 
     def heard(event, duration, **_):
@@ -594,37 +623,109 @@ def compiling(monkeypatch):
     jax.monitoring.unregister_event_duration_listener(heard)
 
 
-def try_many(seeds, home, tmp_path, compiling):
-    read = 0
+@pytest.fixture
+def brief(monkeypatch):
+    """What takes long ends with a sentence."""
+
+    def not_here(*_, **__):
+        raise InputError("this takes long, so that it is not computed here: leave it out")
+
+    for module, name in LONG:
+        monkeypatch.setattr(f"{module}.{name}", not_here)
+
+
+def try_many(seeds, home, tmp_path, compiling, most=None):
+    ends = []
     for seed in seeds:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            _, status = try_one(seed, home, tmp_path / "case", compiling)
-        read += status != 2
+            ends.append(try_one(seed, home, tmp_path / "case", compiling, most))
         shutil.rmtree(tmp_path / "case")
+    statuses, seconds, grown = zip(*ends, strict=True)
+    print(f"{len(ends)} cases, longest {max(seconds):.1f} s, most {max(grown) / 1e6:.0f} MB")
     # Neither are all of them refused.
-    assert len(seeds) / 20 < read < len(seeds) * 19 / 20
+    read = sum(status != 2 for status in statuses)
+    assert len(ends) / 20 < read < len(ends) * 19 / 20
 
 
 # 300 cases.
 @pytest.mark.parametrize("part", range(6))
-def test_a_command_reads_or_refuses(home, tmp_path, compiling, part):
+def test_a_command_reads_or_refuses(home, tmp_path, compiling, brief, part):
     try_many(range(50 * part, 50 * part + 50), home, tmp_path, compiling)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("part", range(30))
-def test_a_command_reads_or_refuses_3000_others(home, tmp_path, compiling, part):
+def test_a_command_reads_or_refuses_3000_others(home, tmp_path, compiling, brief, part):
     try_many(range(1_000 + 100 * part, 1_100 + 100 * part), home, tmp_path, compiling)
 
 
-def test_what_is_damaged_is_right_before(home, tmp_path, compiling):
+# Those that end with a sentence above, to their end. Without links an arm has twenty, and a design
+# takes minutes.
+COMPUTED = [
+    seed
+    for seed in range(5_000, 5_600)
+    if PAIRS[seed % len(PAIRS)][0].split()[0] in ("mission", "joint", "design", "fill", "wind")
+]
+
+
+@pytest.mark.long
+def test_what_takes_long_reads_or_refuses_too(home, tmp_path, compiling):
+    try_many(COMPUTED, home, tmp_path, compiling, most=240.0)
+
+
+def a_fault(read, *given, **named):
+    raise RuntimeError(given)
+
+
+def a_hang(read, *given, **named):
+    while True:
+        pass
+
+
+def a_flood(read, *given, **named):
+    np.ones(1 << 24).sum()
+    return read(*given, **named)
+
+
+def a_lie(read, *given, **named):
+    table = read(*given, **named)
+    for column in table.values.values():
+        if column.dtype != object:
+            column *= 1.001
+    return table
+
+
+@pytest.mark.parametrize(
+    ("reader", "broken", "says"),
+    [
+        ("giajax.recordings.read_run", a_fault, "ended with 4"),
+        ("giajax.recordings.read_run", a_hang, "hangs"),
+        ("giajax.recordings.read_run", a_flood, "took [0-9,]+ bytes"),
+        (f"{__name__}.read_table", a_lie, "was read otherwise"),
+    ],
+)
+def test_each_check_can_fail(home, tmp_path, compiling, monkeypatch, reader, broken, says):
+    """A reader that is broken in one way is found by a case that it reads."""
+    monkeypatch.setattr(f"{__name__}.MOST_BYTES", 1 << 26)
+    command = PAIRS.index(("check run.csv --json", "run.csv"))
+    seeds = itertools.count(command, len(PAIRS))
+    seed = next(n for n in seeds if not try_one(n, home, tmp_path / f"{n}", compiling)[0])
+    holder, _, name = reader.rpartition(".")
+    whole = getattr(importlib.import_module(holder), name)
+    monkeypatch.setattr(reader, functools.partial(broken, whole))
+    most = -54.0 if broken is a_hang else None  # a second of the processor
+    with pytest.raises(AssertionError, match=says):
+        try_one(seed, home, tmp_path / "broken", compiling, most)
+
+
+def test_what_is_damaged_is_right_before(home, tmp_path, brief):
     shutil.copytree(home, tmp_path / "case")
     with contextlib.chdir(tmp_path / "case"):
         for command in COMMANDS:
             status, _, err = ended(command.split())
             assert status in (0, 1) or "this takes long" in err, (command, err)
-        for name, same in SAME.items():
-            words = [c.split() for c in COMMANDS if c.startswith(f"import {name} ")]
-            ended(words[0] if words else ["check", "run.csv"])
-            same(Path("fit" if name == "result.json" else ".") / name, Path())
+        for command, damaged in dict.fromkeys(PAIRS):
+            if same := SAME.get(Path(damaged).name):
+                ended(command.split())
+                same(Path(damaged), Path())

@@ -31,6 +31,8 @@ def test_a_page_says_first_what_it_may_do():
         == PAGE
     )
     assert b"script-src 'none';" in with_policy(b"<head><style></style></head>")
+    with pytest.raises(AssertionError, match="before which its policy stands"):
+        with_policy(b"<p>nowhere to put it</p>")
 
 
 def test_a_browser_runs_no_other_script(browser, tmp_path):

@@ -103,6 +103,24 @@ def test_an_interruption_has_its_own_status(run, capsys, monkeypatch):
     assert capsys.readouterr().err == "giajax: interrupted\n"
 
 
+def test_a_file_that_the_system_refuses_is_one_sentence(run, capsys, monkeypatch):
+    """Wherever it is read: here a name of a plan that no file can have."""
+    (run.parent / "fit.toml").write_text(f'[fit]\ndata = ["{"q" * 300}.csv"]\n')
+    plan = run.parent / "plan.toml"
+    plan.write_text('fit = "fit.toml"\n[grid]\nloss = ["linear", "huber"]\n')
+    assert main(["sweep", str(plan), "--dry-run"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert "cannot be used (File name too long): give another path" in err
+
+
+def test_what_a_file_says_commands_no_terminal(tmp_path, capsys):
+    film = tmp_path / "film.csv"
+    film.write_text("scorer,a,a\nbodyparts,\x1b[2J\x07end,\x1b[2J\x07end\ncoords,x,y\n0,1,2\n")
+    assert main(["import", str(film), "--frame-rate", "9", "--out", str(tmp_path / "o.csv")]) == 2
+    assert "\\x1b[2J\\x07end" in capsys.readouterr().err
+
+
 WITHOUT = """
 import sys
 from giajax.cli import main

@@ -8,7 +8,7 @@ import pytest
 
 from giajax import InputError
 from giajax.runtime.execution import run_tasks
-from giajax.runtime.files import part_of, read_bytes, written_to
+from giajax.runtime.files import parse_json, part_of, read_bytes, written_to
 from giajax.runtime.tasks import Task
 from giajax.tasks import locked
 
@@ -29,6 +29,20 @@ def test_a_file_of_as_many_bytes_as_may_be_is_read(tmp_path):
     assert read_bytes(path, 100) == b"a" * 100
     with pytest.raises(InputError, match="has 100 bytes, but may have 99 at most"):
         read_bytes(path, 99)
+
+
+def test_half_a_character_is_refused_wherever_it_is():
+    """JSON has them by their numbers, and no file or terminal may."""
+    for text in ('{"a": ["\\ud800"]}', '{"\\uDfff": 1}', '["\\ud83d \\ude00"]'):
+        with pytest.raises(ValueError, match="half of a character"):
+            parse_json(text, "a.json")
+    assert parse_json('["\\ud83d\\ude00"]', "a.json") == ["\N{GRINNING FACE}"]
+    assert parse_json('["\\\\ud800"]', "a.json") == ["\\ud800"]
+
+
+@pytest.mark.skipif(not os.access("/proc/kmsg", os.R_OK), reason="of who may read the kernel's log")
+def test_a_file_that_has_nothing_to_say_yet_is_not_waited_for():
+    assert len(read_bytes(Path("/proc/kmsg"), 1 << 26)) >= 0
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="such a file is there on Linux alone")

@@ -213,10 +213,14 @@ def _endings() -> Iterator[None]:
         raise Ended(stopped_status()) from None
 
 
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
+
+
 class Output:
     """Standard output or error of a command, which goes on to its end where that takes no more.
 
-    What its reader does not read, or a full disk does not take, is left out; `error` says why.
+    What a file says is text and commands a terminal nothing. What its reader does not read, or a
+    full disk does not take, is left out; `error` says why.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -225,7 +229,8 @@ class Output:
 
     def write(self, text: str) -> int:
         """Write a text, if it can be."""
-        self._tried(self._stream.write, text)
+        shown = _CONTROL.sub(lambda one: f"\\x{ord(one[0]):02x}", text)
+        self._tried(self._stream.write, shown)
         return len(text)
 
     def flush(self) -> None:
@@ -288,6 +293,10 @@ def _ended(command: Any, arguments: list[str]) -> int:
     except BaseException as error:  # Polars' PanicException is no Exception
         if is_stopped():  # what the signal raised came out of a foreign library as this
             return _say("interrupted", stopped_status())
+        if isinstance(error, OSError) and isinstance(error.filename, str):
+            # Its name is too long, another program took it away, or a disk is at fault.
+            why = f"{error.filename} cannot be used ({error.strerror})"
+            return _say(f"{why}: give another path, or correct what names it", BAD_INPUT)
         return _say(_unexpected(error, arguments), BROKEN)
     # Without standalone mode typer returns the status of `typer.Exit`, else what the command did.
     return result if isinstance(result, int) else 0

@@ -546,11 +546,14 @@ def _database(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> 
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, CHUNK_BYTES)
         base.set_progress_handler(tick, _STEPS)
         base.execute("PRAGMA trusted_schema = OFF")
+        base.execute("PRAGMA ignore_check_constraints = ON")  # which are programs, too
         for table in ("topics", "messages"):
             query = "SELECT type, rootpage > 0 FROM sqlite_master WHERE name = ?"
             hidden = base.execute(f"SELECT max(hidden) FROM pragma_table_xinfo('{table}')")
             if base.execute(query, [table]).fetchall() != [("table", 1)] or hidden.fetchone()[0]:
                 raise InputError(f"{path} has no plain table {table}: give a bag of ROS 2")
+            if (said := base.execute(f"PRAGMA quick_check({table})").fetchone()[0]) != "ok":
+                raise InputError(f"{path} is damaged ({shown(said)}): copy it again")
         definitions = dict[str, str]()
         if base.execute(
             "SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'"

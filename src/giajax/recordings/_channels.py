@@ -269,6 +269,13 @@ def parse_column(name: str) -> Channel:
     return _channel(row, unit)
 
 
+def channel_of(name: str) -> str:
+    """The channel of a column; "" of a name that is none, of which a file may have thousands."""
+    row = match_name(name)
+    known = row is not None and (row.suffix or "") in units_of(row.kind)
+    return row.match["name"] if row is not None and known else ""
+
+
 def parse_columns(names: Iterable[str]) -> dict[str, Channel]:
     """The channels of a file's header, by column name and in its order.
 

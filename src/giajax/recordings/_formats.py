@@ -1,6 +1,5 @@
 """Files of other programs, each known by its content: points that they tracked, and sensors."""
 
-import contextlib
 import csv
 import re
 from abc import ABC, abstractmethod
@@ -14,11 +13,11 @@ import numpy.typing as npt
 import polars as pl
 
 from ..runtime.files import read_bytes
-from ..runtime.limits import RUN_BYTES, VALUE
+from ..runtime.limits import FOREIGN_COLUMNS, RUN_BYTES, VALUE
 from ..runtime.text import InputError, shown
 from ..schema import si_factor
 from ._bags import is_bag, read_bag
-from ._channels import parse_column, parse_columns
+from ._channels import channel_of, parse_columns
 from ._foreign import ForeignColumn, ForeignTable, ImportSettings, Numbers, placed, some
 from ._table import csv_lines, csv_rows, numbers_of, ragged, split_cells
 
@@ -593,7 +592,7 @@ class ColumnTable(AbstractFormat):
     form = "a first row of columns such as time_s and link06_z_mm, or --rename"
 
     def recognises(self, head: Sequence[Sequence[str]], how: ImportSettings) -> bool:
-        return len(head[0]) > 1 and any(cell in how.rename or _is_column(cell) for cell in head[0])
+        return len(head[0]) > 1 and any(cell in how.rename or channel_of(cell) for cell in head[0])
 
     def read(self, sheet: Sheet, how: ImportSettings) -> ForeignTable:
         how.check_used(sheet.path, self.program, "frame_rate", "rename")
@@ -606,11 +605,11 @@ class ColumnTable(AbstractFormat):
                 )
         names = [how.rename.get(cell, cell) for cell in header]
         times = {place for place, name in enumerate(names) if name in ("time_s", "time_ms")}
-        how.check_patterns([*header, *names, *map(_channel_of, names)])
+        how.check_patterns([*header, *names, *map(channel_of, names)])
         places = [
             place
             for place, (cell, name) in enumerate(zip(header, names, strict=True))
-            if place in times or how.keeps(cell, name, _channel_of(name))
+            if place in times or how.keeps(cell, name, channel_of(name))
         ]
         try:
             channels = parse_columns([names[place] for place in places]).values()
@@ -633,16 +632,6 @@ class ColumnTable(AbstractFormat):
         elif stamps is not None:
             stamps = self.timed(sheet, how, stamps)
         return ForeignTable(self.program, stamps, {}, values)
-
-
-def _is_column(name: str) -> bool:
-    return bool(_channel_of(name))
-
-
-def _channel_of(name: str) -> str:
-    with contextlib.suppress(InputError):
-        return parse_column(name).name
-    return ""
 
 
 FORMATS: tuple[AbstractFormat, ...] = (
@@ -683,6 +672,11 @@ def read_foreign(
     data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     for separator in _SEPARATORS:
         head = _head(data, separator)
+        if (widest := max(map(len, head))) > FOREIGN_COLUMNS:
+            raise InputError(
+                f"{path} has {widest:,} cells in a row, but may have {FOREIGN_COLUMNS:,} at most: "
+                "export fewer columns"
+            )
         for each in formats:
             if each.recognises(head, how):
                 return each.read(Sheet(path, data, separator), how)

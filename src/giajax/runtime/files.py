@@ -93,9 +93,10 @@ def read_bytes(path: Path, most: int) -> bytes:
     """
     with opened(path) as file:
         size = os.fstat(file.fileno()).st_size
-        data = b"" if size > most else file.read(size + 1)
+        # A file of the system that has nothing to say yet gives no data, not even none.
+        data = b"" if size > most else file.read(size + 1) or b""
         if len(data) > size:  # a file that grows, or one of the system, which says no size
-            data += file.read(most + 1 - len(data))
+            data += file.read(most + 1 - len(data)) or b""
     if (size := max(size, len(data))) > most:
         raise InputError(f"{path} has {size:,} bytes, but may have {most:,} at most: shorten it")
     return data
@@ -226,6 +227,7 @@ _TOML_WORDS = re.compile(
     re.DOTALL,
 )
 _JSON_WORDS = re.compile(r'"(?:\\.|[^"\\])*"', re.DOTALL)
+_HALF = re.compile(r"\\ud[89a-f]", re.IGNORECASE)  # of a character beyond 16 bits, by its number
 _BRACKETS = re.compile(r"[\[\]{}]")
 _BETWEEN_KEYS = re.compile(r"[\[\]{},=\n]")
 
@@ -253,13 +255,26 @@ def parse_json(text: str, path: Path | str) -> Any:
 
     Raises:
         InputError: it is beyond the limits.
-        ValueError: it is not JSON, which knows neither NaN nor infinity.
+        ValueError: it is not JSON, which knows neither NaN nor infinity, or a text is not Unicode.
     """
     if _is_deep(_JSON_WORDS.sub("_", text)):
         raise _too_deep(str(path))
     data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_constant)
     check_size(data, str(path))
+    check_unicode(data, text)
     return data
+
+
+def check_unicode(data: Any, text: str) -> None:
+    """Refuse (`ValueError`) data of a JSON text in which a string has half of a character.
+
+    JSON may have such, by their numbers; nothing that is written or shown may.
+    """
+    if _HALF.search(text):
+        try:
+            json.dumps(data, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise ValueError("a text has half of a character: correct it") from None
 
 
 def check_size(data: Any, source: str) -> None:

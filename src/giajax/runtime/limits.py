@@ -21,6 +21,7 @@ DEPTH = 32  # tables and lists within each other, and parts of a dotted key, in 
 WHOLE = 2**63  # whole numbers in TOML and JSON are smaller than this, as TOML says
 NAME_BYTES = 255  # length of the name of a file or folder: what file systems take
 COLUMNS = 10_000  # columns of a run
+FOREIGN_COLUMNS = 100_000  # columns of a table that another program wrote
 CELL_BYTES = 1_000  # length of a cell or of a column's name in a CSV file
 VALUE = 1e30  # size of a recorded value, in SI units
 TIME_S = 1e10  # size of a time stamp: three centuries, enough for stamps that count from 1970

@@ -34,4 +34,6 @@ def with_policy(page: bytes, scripts: str | None = None, connect: str = "data: b
     """A page of HTML that says in its head what it may do: by default run the scripts in it."""
     said = policy(own_scripts(page) if scripts is None else scripts, connect)
     meta = f'<meta http-equiv="Content-Security-Policy" content="{said}">\n'.encode()
-    return _FIRST.sub(lambda first: meta + first[0], page, count=1)
+    found, count = _FIRST.subn(lambda first: meta + first[0], page, count=1)
+    assert count, "a page has a style or a script, before which its policy stands"
+    return found

@@ -26,7 +26,7 @@ from ..recordings import (
     make_folder,
     sidecar_path,
 )
-from ..runtime.files import read_bytes, written_to
+from ..runtime.files import check_unicode, read_bytes, written_to
 from ..runtime.limits import JOURNAL_BYTES, RUN_BYTES
 from ..runtime.plugins import SUM
 from ..runtime.records import from_plain
@@ -438,6 +438,7 @@ def _parsed(text: bytes, number: int, path: Path) -> Line:
     remedy = "remove it, and fit anew"
     try:
         line = json.loads(text)
+        check_unicode(line, text.decode())
     except (ValueError, RecursionError):
         raise InputError(f"{what}: {remedy}") from None
     known = line if isinstance(line, dict) else {}

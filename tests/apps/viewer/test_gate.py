@@ -278,3 +278,4 @@ def test_a_token_is_in_no_words_of_a_process(monkeypatch):
     assert "abc" not in opened[0]
     assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
     assert f'href="{html.escape(address)}"' in path.read_text()
+    assert "Content-Security-Policy" in path.read_text()

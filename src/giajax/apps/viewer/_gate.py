@@ -74,7 +74,8 @@ def open_in_browser(address: str) -> None:
     page = Path(folder, "open.html")
     target = html.escape(address)
     page.write_text(
-        f'<!doctype html><meta http-equiv="refresh" content="0; url={target}">'
+        '<!doctype html><meta http-equiv="Content-Security-Policy" content="default-src \'none\'">'
+        f'<meta http-equiv="refresh" content="0; url={target}">'
         f'<a href="{target}">open the page</a>\n'
     )
     webbrowser.open(page.as_uri())
@@ -265,6 +266,7 @@ def _values(fields: list[bytes], name: str) -> list[str]:
 def _refusal(status: str, why: str) -> bytes:
     return (
         f"HTTP/1.1 {status}\r\nContent-Type: text/plain; charset=utf-8\r\nConnection: close\r\n"
+        "Content-Security-Policy: default-src 'none'\r\nX-Content-Type-Options: nosniff\r\n"
         f"Content-Length: {len(why) + 1}\r\n\r\n{why}\n"
     ).encode()
 
