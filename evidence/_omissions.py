@@ -48,7 +48,9 @@ class Case:
         arm: keywords of the arm that moves.
         parameters: of it, on top of the truth.
         command: what the drives do of what is commanded (rad), by the times; what was commanded.
-        leak: by which share all stiffness falls over the run.
+        friction: strength of Dahl's friction in every joint, N m.
+        torque: of all joints (N m) on top of their springs, from the time (s), their deflections
+            (rad) and stiffnesses (N m/rad).
         stamp: the true time of a time stamp, s.
         seen: what is recorded of true positions (m), shape (sample, point, 3), by the times.
         drawn: whether clock, scale and width of each recording are drawn from what is usual.
@@ -58,7 +60,8 @@ class Case:
     arm: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     command: Callable[[Array, Array], Array] = lambda times, angles: angles
-    leak: float = 0.0
+    friction: float = 0.0
+    torque: Callable[[float, Array, Array], Array] | None = None
     stamp: Callable[[Array], Array] = lambda times: times
     seen: Callable[[Array, Array], Array] = lambda times, points: points
     drawn: bool = False
@@ -80,6 +83,35 @@ def _exchanged(times: Array, points: Array) -> Array:
     late = times > END / 2
     swapped[late, 1], swapped[late, 2] = points[late, 2], points[late, 1]
     return swapped
+
+
+def _without(joint: int, angles: Array) -> Array:
+    """A joint whose drive does nothing."""
+    return np.where(np.arange(1, LINKS + 1) == joint, 0.0, angles)
+
+
+def _by_a_lens(times: Array, points: Array) -> Array:
+    """A lens that points at the middle of the straight arm, and draws its ends nearer."""
+    del times
+    middle = np.array([LINKS / 2, 0.0, 0.0])
+    across = (points - middle) / (LINKS / 2)
+    return points - 0.05 * (points - middle) * np.sum(across**2, axis=-1, keepdims=True)
+
+
+def _glitching(times: Array, points: Array) -> Array:
+    """Of all cells 2 % show something else, 0.3 m off."""
+    del times
+    random = np.random.default_rng(7)
+    wrong = random.random(points.shape) < 0.02
+    return points + 0.3 * wrong * random.normal(size=points.shape)
+
+
+def _still(times: Array, points: Array) -> Array:
+    """From the middle of the run on, one marker is where it was last seen."""
+    still = points.copy()
+    late = np.flatnonzero(times > END / 2)
+    still[late, 1] = points[late[0], 1]
+    return still
 
 
 _SCATTER = 1 + 0.15 * np.random.default_rng(5).normal(size=LINKS)
@@ -135,7 +167,33 @@ CASES = {
         },
         named=("joints.stiffness_factor",),
     ),
-    "stiffness leaks by 30 %": Case(("joints.stiffness_drift",), leak=0.3),
+    "stiffness leaks by 30 %": Case(
+        ("joints.stiffness_drift",),
+        torque=lambda time, bent, stiffness: 0.3 * min(time / END, 1.0) * stiffness * bent,
+    ),
+    "lens with k1 = -0.05": Case(("camera.lens",), seen=_by_a_lens),
+    "drives end at 27 deg": Case(
+        ("joints.drive_saturation", "joints.drive_gain"),
+        command=lambda _, angles: np.clip(angles, *np.deg2rad([-27, 27])),
+    ),
+    "the drive of joint 7 is dead": Case(
+        ("joints.drive_gain",), command=lambda _, angles: _without(7, angles)
+    ),
+    "that of joint 4, the only yaw": Case(
+        ("joints.drive_gain",), command=lambda _, angles: _without(4, angles)
+    ),
+    "joints remember 0.03 N m": Case(
+        ("joints.memory", "joints.stops", "joints.friction"), friction=0.03
+    ),
+    "air that moves along": Case(
+        ("air.added_mass",), parameters={"air.added_mass_coefficient": 1.0}
+    ),
+    "joints harden": Case(
+        ("joints.laws.hardening",),
+        torque=lambda time, bent, stiffness: -10 * stiffness * bent**3,
+    ),
+    "2 % of cells wrong by 0.3 m": Case(("outliers",), seen=_glitching),
+    "a marker that stands still": Case(("points",), seen=_still),
 }
 
 
@@ -186,19 +244,21 @@ def _motion(case: Case) -> tuple[Array, Array, Array]:
     values = {**TRUTH, **case.parameters}
     arm = takeichi_20m(LINKS, parameters=values, **keywords)
     driven = ramps(fine, case.command(fine, commanded), tolerance=1e-12)
-    peer = MujocoInAir(arm, driven)
+    peer = MujocoInAir(arm, driven, friction=case.friction, friction_stiffness=3.0)
     chain = peer.chain
     chain.command = peer.command
-    if case.leak:
+    if (torque := case.torque) is not None:
         plain, stiffness = chain._passive, chain._stiffness
 
-        def leaking(model: Any, data: Any) -> None:
+        def further(model: Any, data: Any) -> None:
             plain(model, data)
-            lost = case.leak * min(data.time / END, 1.0) * stiffness
-            data.qfrc_passive[:] += lost * (data.qpos - chain._command_now(data.time))
+            bent = data.qpos - chain._command_now(data.time)
+            data.qfrc_passive[:] += torque(data.time, bent, stiffness)
 
-        chain._passive = leaking  # type: ignore[method-assign]
-    centres, tips = peer.places(chain.trajectory(fine, STEP)[:, 0])
+        chain._passive = further  # type: ignore[method-assign]
+    own = case.friction or "air.added_mass_coefficient" in case.parameters
+    angles = (peer if own else chain).trajectory(fine, STEP)[:, 0]
+    centres, tips = peer.places(angles)
     links = [int(point[4:]) - 1 for point in POINTS[:-1]]
     return fine, commanded, np.concatenate([centres[:, links], tips[:, None]], axis=1)
 

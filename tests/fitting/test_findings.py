@@ -11,8 +11,11 @@ from test_blocks import OwnHeights, recording
 
 from giajax import Prior, Run, fit, pendulum, predict
 from giajax.fitting import Finding, Statistics, _estimates as _findings, combinations, inverse_gram
-from giajax.models import ArmModel
+from giajax.mechanics.arm import takeichi_20m
+from giajax.models import ArmModel, model_for
 from giajax.runtime.records import from_plain
+from giajax.schema import parameters as _parameters
+from small_arm import COMMANDS, DEFINITION, LINKS, NOISE, START, TIMES, TRUTH
 from toy_model import Decay, height, run
 
 ROOT = Path(__file__).parents[2]
@@ -206,3 +209,39 @@ def test_a_pendulum_shows_ratios_and_no_mass():
     for above, below, value, error in shown:
         assert abs(float(value) - size[above] / size[below]) < 3.5 * float(error)
         assert float(error) < 0.03 * float(value)
+
+
+def test_joints_that_do_not_answer_their_commands_make_a_fit_doubtful():
+    """The stiffness of a drive that does nothing is 0, and the residuals are those of noise."""
+    channels = ("link02_y", "link04_y", "link04_z")
+    moved = Run.from_arrays(
+        TIMES,
+        {**COMMANDS, "joint02_command": 0 * TIMES, channels[0]: 0 * TIMES},
+        definition=DEFINITION,
+    )
+    model = _parameters.replace(ArmModel(takeichi_20m(LINKS)), TRUTH)
+    random = np.random.default_rng(0)
+    recorded = {
+        name: values + NOISE * random.normal(size=len(TIMES))
+        for name, values in predict(model, moved, channels).items()
+    }
+    told = Run.from_arrays(TIMES, {**COMMANDS, **recorded}, definition=DEFINITION)
+    result = fit(model_for([told]), told, free=list(TRUTH), start=START, check=False)
+    assert result.parameters["joints.yaw_stiffness"].value < 1e-2
+    assert result.verdict.status == "doubtful"
+    assert result.verdict.reasons[0].code == "vanished"
+    assert "joints.yaw_stiffness has fallen from 5 to" in result.headline
+    # The parameter that it is, and none that may well be 0.
+    free = ["joints.yaw_stiffness", "joints.damping"]
+    right = {**START, "joints.pitch_stiffness": 2.5, "air.drag_coefficient": 1.1}
+    undamped = _parameters.replace(model, {"joints.damping": 0.0})
+    still = Run.from_arrays(TIMES, {**COMMANDS, channels[0]: 0 * TIMES}, definition=DEFINITION)
+    seen = {
+        name: values + 1e-4 * random.normal(size=len(TIMES))
+        for name, values in predict(undamped, still, channels).items()
+    }
+    stated = {**DEFINITION, "noise": {"position_m": 1e-4}}
+    told = Run.from_arrays(TIMES, {**COMMANDS, **seen}, definition=stated)
+    result = fit(model_for([told]), told, free=free, start=right, check=False)
+    assert result.parameters["joints.damping"].value < 1e-3
+    assert result.verdict.status == "adequate"

@@ -31,6 +31,7 @@ _MOST_PAIRS = 10  # many pairs are one cause: the worst ones show it
 _BENT = 0.3  # a third of a standard error's square, or of its symmetry
 _AGAINST = 3.0  # standard deviations of a prior that the data have moved a parameter by
 _MOSTLY = 0.5  # a prior that says more than this of a parameter
+_GONE = 1e-2  # of its start: an essential parameter that is surely less is as good as 0
 _ONE_SIDED = 1.645  # normal quantile of a one-sided interval of 95 %
 
 # Correlation times without which an estimate of the correlation, and all errors, are uncertain.
@@ -280,6 +281,25 @@ def beyond_usual(state: FitState, statistics: Statistics) -> Reason | None:
             )
             found.append(Reason("prior", sentence, min(chance, 1.0), float(moved[most])))
     return min(found, key=lambda reason: reason.p_value, default=None)
+
+
+def vanished(state: FitState, statistics: Statistics) -> Reason | None:
+    """An essential parameter that has gone to 0: the residuals do not show what is wrong then."""
+    starts = state.setup.starts()
+    for parameter, places in zip(state.setup.parameters, state.problem.positions, strict=True):
+        for index in places if parameter.declaration.essential else ():
+            most = _GONE * starts[index]
+            value = float(statistics.values[index])
+            if value + 3 * statistics.standard_errors.get(index, 0.0) < most:
+                unit = parameter.declaration.unit
+                sentence = (
+                    f"{statistics.labels[index]} has fallen from {starts[index]:.3g} to "
+                    f"{value:.1g} {unit}: as far as the data show, nothing follows what is "
+                    "commanded there. See whether the drives of these joints worked, and hold the "
+                    "parameter at what is known of it"
+                )
+                return Reason("vanished", sentence, 1.0, 1.0)
+    return None
 
 
 def _bent(statistics: Statistics, curvatures: Mapping[int, Curvature]) -> Iterator[Finding]:

@@ -21,7 +21,7 @@ from ..runtime.text import InputError, keywords_listed
 from ._checks import Checks, checks
 from ._configuration import Setup, set_up
 from ._derived import derived_estimates, with_tied
-from ._estimates import beyond_usual, estimates, findings, own_estimates
+from ._estimates import beyond_usual, estimates, findings, own_estimates, vanished
 from ._loop import Budget, advance_alone, descend
 from ._problem import Problem, predictions_by_run
 from ._records import ChannelFit, Correlation, Iteration, NoiseFit, OwnEstimate, RunFit, Seconds
@@ -50,7 +50,8 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         message += ", then interrupted before its result was checked"
     predictions = predictions_by_run(problem, state.inner.aux, setup.runs)
     found = verdict(state, status, known.prior_degrees_of_freedom)
-    doubt = beyond_usual(state, known)
+    for doubt in (beyond_usual(state, known), vanished(state, known)):
+        found = found if doubt is None else found.doubted(doubt)
     active = np.asarray(state.active)
     places = zip(problem.paths, problem.positions, strict=True)
     moved = [path for path, at in places if np.any(active[list(at)])]
@@ -65,7 +66,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         parameters=with_tied(estimates(state, known, model), derived, problem.ties),
         noise=_noise(state, known),
         integration=integration_of(state),
-        verdict=found if doubt is None else found.doubted(doubt),
+        verdict=found,
         derived=derived,
         findings=findings(state, known, done.curvatures, _lengths(state)),
         correlation=_correlation(known, problem),

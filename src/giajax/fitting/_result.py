@@ -378,7 +378,7 @@ class FitResult(ShownAsTable):
                 f"INADEQUATE MODEL: {reasons[0].sentence}; {message}; the standard errors are "
                 "conditional on a model that does not describe the data"
             )
-        if reasons and reasons[0].code in ("suspect", "prior"):
+        if reasons and reasons[0].code in ("suspect", "prior", "vanished"):
             # What to do about it stands in the verdict.
             return f"DOUBTFUL MODEL: {reasons[0].sentence.partition(': ')[0]}; {message}"
         return message

@@ -100,7 +100,7 @@ class Reason:
     Attributes:
         code: "noise", "correlation", "differences", "drift", "runs" or "prediction"; "too_small" of
             residuals far below the stated noise, "suspect" of what the fit held or left out,
-            "prior" of what is far from what is usual,
+            "prior" of what is far from what is usual, "vanished" of what should not be 0 and is,
             "unexplained" where no suspect explains it, "end" of a fit that has no optimum, "cells"
             of too few.
         sentence: what is seen, and where.

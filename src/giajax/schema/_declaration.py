@@ -231,6 +231,7 @@ class Declaration:
         any_number: whether a model may have any number of its elements, with no count of its own.
         has_states: of an optional one, whether its part adds states to the motion; suspects are
             not asked for with those, and one of the model's `variants` has it.
+        essential: what the motion comes from: an estimate of 0 casts doubt on the model.
         source: where the default is from, or the equation that the parameter stands in.
         key: how files state it; None: by its path alone.
         path: in a model, such as `links.mass`; "" for a parameter that is in no group.
@@ -251,6 +252,7 @@ class Declaration:
     each: bool = False
     any_number: bool = False
     has_states: bool = False
+    essential: bool = False
     source: str = ""
     key: Key | None = None
     path: str = ""

@@ -153,10 +153,18 @@ BUOYANCY = _Buoyancy("buoyancy")
 
 class _Joints(Group):
     pitch_stiffness = freed_guess(
-        3.0, "N m/rad", "stiffness of a pitch joint about its commanded angle", upper=1e3
+        3.0,
+        "N m/rad",
+        "stiffness of a pitch joint about its commanded angle",
+        upper=1e3,
+        essential=True,
     )
     yaw_stiffness = freed_guess(
-        30.0, "N m/rad", "stiffness of a yaw joint about its commanded angle", upper=1e4
+        30.0,
+        "N m/rad",
+        "stiffness of a yaw joint about its commanded angle",
+        upper=1e4,
+        essential=True,
     )
     damping = freed_guess(
         0.05, "N m s/rad", "viscous damping of a joint's own rate", upper=1e2, **EACH_JOINT
