@@ -28,10 +28,12 @@ from ._contrast import (
 from ._explain import (
     NEARNESS as NEARNESS,
     Explained as Explained,
+    explain as explain,
+)
+from ._explain_records import (
     ExplainedParameter as ExplainedParameter,
     ExplainedStep as ExplainedStep,
     Explanation as Explanation,
-    explain as explain,
 )
 from ._influence import (
     Influence as Influence,

@@ -1,0 +1,111 @@
+"""`giajax sweep`: one fit many times, with other values, runs or options."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..runtime.process import configure, stopped_status
+from ._commands import (
+    ManyProgress,
+    Scheduler,
+    Workers,
+    argument,
+    command,
+    print_table,
+)
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from ..tasks import Plan
+
+_ROWS = 20
+_ENDINGS = ("converged", "not_converged", "failed", "stopped")
+
+
+@command("""\b
+Examples:
+  giajax sweep plan.toml --dry-run
+  giajax sweep plan.toml --workers 4
+  giajax sweep plan.toml --out masses --scheduler tcp://head:8786
+
+\b
+A plan names a fit definition and what differs between its fits:
+  fit = "base_step.toml"
+  [grid]
+  loss = ["linear", "huber"]
+  [grid.fix]
+  "links.mass" = { from = 0.04, to = 0.06, count = 5 }
+
+\b
+The same command goes on where a sweep was stopped or killed, and after the plan
+has grown. DIR/sweep.parquet has one row a fit, DIR/fits a file of each.
+
+\b
+Exit status: 0 each fit was done; 1 one could not be (its row says why);
+2 bad input or usage; 130 interrupted, 143 by SIGTERM.""")
+def sweep(
+    plan: Annotated[Path, argument("PLAN.toml", "What to fit; see below.")],
+    out: Annotated[Path | None, "DIR", "Where the table goes (giajax-out/PLAN)."] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    dry_run: Annotated[bool, "List what would be fitted, and fit nothing."] = False,
+    force: Annotated[bool, "Write over the table of another plan."] = False,
+    quiet: Annotated[bool, "Print errors only."] = False,
+) -> None:
+    """Fit one definition many times: with other values, runs or options each time.
+
+    On one core, on several (--workers), or on the machines of a cluster (--scheduler).
+    """
+    from ..runtime.execution import open_executor
+    from ..tasks import TABLE, Plan, sweep as sweep_plan
+
+    planned = Plan.load(plan)
+    folder = planned.folder if out is None else out
+    if dry_run:
+        _list(planned, folder)
+        return
+    with open_executor(workers, scheduler) as executor:
+        if scheduler is None and workers in (None, 1):
+            configure()
+        progress = None if quiet else ManyProgress("fits")
+        table = sweep_plan(planned, out=folder, executor=executor, progress=progress, force=force)
+    counts = {ending: int((table["status"] == ending).sum()) for ending in _ENDINGS}
+    if not quiet:
+        _show(table, planned.columns)
+        said = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n)
+        print(f"\n{len(table)} fits: {said}\nwrote {folder / TABLE}")
+    if counts["stopped"]:
+        typer.echo("giajax: what is done is kept: the same command goes on", err=True)
+        raise typer.Exit(stopped_status())
+    raise typer.Exit(1 if counts["failed"] else 0)
+
+
+def _list(plan: "Plan", folder: Path) -> None:
+    """The fits of a plan, and which of them are done."""
+    from ..runtime.tasks import read_outcome
+    from ..tasks import FITS
+
+    rows, known = [], 0
+    for number, (case, task) in enumerate(zip(plan.cases, plan.tasks(), strict=True), 1):
+        done = read_outcome(folder / FITS, task.key) is not None
+        known += done
+        values = (case.get(name) for name in plan.columns)
+        rows.append((number, *values, "done" if done else ""))
+    print_table(["fit", *plan.columns, ""], rows)
+    print(f"\n{len(rows)} fits into {folder}, {known} of them done already")
+
+
+def _show(table: "pl.DataFrame", columns: list[str]) -> None:
+    """The first rows: what differs, what was found, and how well it describes the data."""
+    values = [name for name in table.columns if name.startswith("value.")]
+    shown = [*columns, "status", *values, "verdict"]
+    rows = table.head(_ROWS).select(shown).rows()
+    headings = [name.removeprefix("value.") if name in values else name for name in shown]
+    print_table(headings, rows, left=0)
+    if len(table) > _ROWS:
+        print(f"... and {len(table) - _ROWS} more")
+    failed = table.filter(table["status"] == "failed")["message"].unique(maintain_order=True)
+    for message in failed.head(3):
+        print(f"failed: {message}")
