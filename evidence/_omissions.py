@@ -9,12 +9,14 @@ three suspects.
 """
 
 import dataclasses
+import functools
 from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ._record import ROOT, commit
 from ._study import Figures, Study
 from ._suspects import differing, listed
 
@@ -198,21 +200,37 @@ CASES = {
 
 
 def run(size: int, seed: int, names: tuple[str, ...] = tuple(CASES)) -> Figures:
-    """Figures of `size` recordings of each case and sensor set, with random numbers of its own."""
-    import jax
+    """Figures of `size` recordings of each case and sensor set, with random numbers of its own.
 
-    jax.config.update("jax_enable_x64", True)
-    figures = {}
-    for name in names:
-        fine, commanded, positions = _motion(CASES[name])
-        for index, sensors in enumerate(SENSORS):
-            entropy = [seed, list(CASES).index(name), index]
-            recorded = (
-                _recorded(name, sensors, fine, commanded, positions, [*entropy, number])
-                for number in range(size)
-            )
-            figures[f"{name}; {sensors}"] = _figures(CASES[name], size, recorded)
-    return figures
+    Two processes share them, and each fit is kept until all of this commit are done: the study
+    takes hours, and the same command goes on where it was stopped.
+    """
+    from giajax.runtime.execution import open_executor, run_tasks
+    from giajax.runtime.tasks import Task
+
+    code = commit()
+    cells = [(name, sensors) for name in names for sensors in SENSORS]
+    tasks = [
+        Task(one, {"name": name, "sensors": sensors, "entropy": [seed, number], "code": code})
+        for number in range(size)
+        for name, sensors in cells
+    ]
+
+    def told(outcome: Any, done: int, count: int) -> None:
+        if done % 20 == 0 or outcome.status == "failed":
+            print(f"{done} of {count}: {outcome.message or outcome.status}", flush=True)
+
+    # What no commit holds cannot be gone on with: nothing says what it was.
+    folder = None if code is None else ROOT / "giajax-out" / "evidence" / "omissions"
+    with open_executor(2) as executor:
+        outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=told)
+    if undone := [outcome for outcome in outcomes if outcome.status != "done"]:
+        raise RuntimeError(f"{len(undone)} fits were not made: {undone[0].message}")
+    found = [outcome.value for outcome in outcomes]
+    return {
+        f"{name}; {sensors}": _figures(found[at :: len(cells)])
+        for at, (name, sensors) in enumerate(cells)
+    }
 
 
 def part(size: int, seed: int) -> Figures:
@@ -220,7 +238,8 @@ def part(size: int, seed: int) -> Figures:
     return run(size, seed, ("camera 30 ms late",))
 
 
-def _motion(case: Case) -> tuple[Array, Array, Array]:
+@functools.cache
+def _motion(name: str) -> tuple[Array, Array, Array]:
     """Fine times (s), what was commanded (rad), and positions (m), (sample, point, 3)."""
     import jax.numpy as jnp
 
@@ -229,6 +248,7 @@ def _motion(case: Case) -> tuple[Array, Array, Array]:
     from giajax.simulation import ramps
     from peers.mujoco_air import MujocoInAir
 
+    case = CASES[name]
     fine = np.arange(round((END + 1) / STEP) + 1) * STEP
     commanded = np.zeros((len(fine), LINKS))
     for joint, degrees in ANGLES_DEG.items():
@@ -263,14 +283,13 @@ def _motion(case: Case) -> tuple[Array, Array, Array]:
     return fine, commanded, np.concatenate([centres[:, links], tips[:, None]], axis=1)
 
 
-def _recorded(
-    name: str, sensors: str, fine: Array, commanded: Array, positions: Array, entropy: list[int]
-) -> tuple["Run", dict[str, float]]:
+def _recorded(name: str, sensors: str, entropy: list[int]) -> tuple["Run", dict[str, float]]:
     """A recording with noise of its own, and the truth."""
     from scipy.interpolate import CubicSpline
 
     import giajax
 
+    fine, commanded, positions = _motion(name)
     case, (axes, noise) = CASES[name], SENSORS[sensors]
     stamps = np.arange(round(END / EVERY) + 1) * EVERY
     random, values, truth = np.random.default_rng(entropy), {}, dict(TRUTH)
@@ -298,35 +317,48 @@ def _recorded(
     return giajax.Run.from_arrays(stamps, values, name="omission", definition=model), truth
 
 
-def _figures(case: Case, size: int, recordings: Any) -> Figures:
+def one(name: str, sensors: str, entropy: list[int], code: str | None) -> Figures:
+    """What a fit of one recording says, by a commit of giajax."""
+    del code
+    case, (seed, number) = CASES[name], entropy
+    places = [seed, list(CASES).index(name), list(SENSORS).index(sensors), number]
+    recording, truth = _recorded(name, sensors, places)
+    result = _fitted(recording)
+    shares, covered = {}, 0
+    for path, value in truth.items():
+        found = result.parameters[path]
+        low, high = found.interval or (0, 0)
+        shares[path] = float((found.value - value) / (found.standard_error or np.inf))
+        covered += bool(low <= value <= high)
+    paths = _first(result)
+    there = [path for path in result.nuisances if _is_there(result, path)]
+    rank = next((i for i, those in enumerate(paths, 1) if _is_named(case, those)), None)
+    if rank is None and _is_named(case, tuple(there)):
+        rank = 1  # It is fitted.
+    return {
+        "status": result.verdict.status,
+        "reasons": [reason.code for reason in result.verdict.reasons],
+        "shares": shares,
+        "covered": covered,
+        "rank": rank,
+        "first": [list(those) for those in paths],
+    }
+
+
+def _figures(found: list[Figures]) -> Figures:
     counts: Counter[str] = Counter()
     instead: Counter[str] = Counter()
-    for recording, truth in recordings:
-        result = _fitted(recording)
-        status = result.verdict.status
-        counts[status] += 1
-        shares = [
-            abs(result.parameters[path].value - value)
-            / (result.parameters[path].standard_error or np.inf)
-            for path, value in truth.items()
-        ]
-        off = max(shares) > OFF
-        intervals = {path: result.parameters[path].interval or (0, 0) for path in truth}
-        counts["covered"] += sum(
-            low <= truth[path] <= high for path, (low, high) in intervals.items()
-        )
+    for each in found:
+        off = max(map(abs, each["shares"].values())) > OFF
+        counts[each["status"]] += 1
+        counts["covered"] += each["covered"]
         counts["off"] += off
-        counts["adequate and off"] += off and status == "adequate"
-        paths = _first(result)
-        there = [path for path in result.nuisances if _is_there(result, path)]
-        rank = next((i for i, those in enumerate(paths, 1) if _is_named(case, those)), None)
-        if rank is None and _is_named(case, tuple(there)):
-            rank = 1  # It is fitted.
-        counts["named"] += rank is not None
-        if status != "adequate" and rank != 1:
-            instead[paths[0][0] if paths else "nothing"] += 1
+        counts["adequate and off"] += off and each["status"] == "adequate"
+        counts["named"] += each["rank"] is not None
+        if each["status"] != "adequate" and each["rank"] != 1:
+            instead[each["first"][0][0] if each["first"] else "nothing"] += 1
     kinds = ("adequate", "doubtful", "inadequate", "off", "adequate and off", "named", "covered")
-    return {"recordings": size, **{k: counts[k] for k in kinds}, "instead": dict(instead)}
+    return {"recordings": len(found), **{k: counts[k] for k in kinds}, "instead": dict(instead)}
 
 
 def _fitted(recording: "Run") -> "FitResult":
@@ -396,7 +428,7 @@ OMISSIONS = Study(
         "data can hardly tell from it, is among the first three suspects, or is fitted because it "
         "is always uncertain."
     ),
-    size=4,
+    size=20,
     seed=1,
     run=run,
     disagreements=disagreements,

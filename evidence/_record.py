@@ -31,16 +31,16 @@ def record(study: Study, size: int, seed: int) -> dict[str, Any]:
         The content of its file: figures, size, seed, commit, versions, machine and time, s.
     """
     # Before the run: what is committed meanwhile is not what runs.
-    commit = _git("rev-parse", "HEAD")
+    of = _git("rev-parse", "HEAD")
     # Figures of a working tree that no commit holds cannot be had again.
-    changed = bool(_git("status", "--porcelain", "--", *SOURCES))
+    changed = commit() is None
     began = time.perf_counter()
     figures = study.run(size, seed)
     return {
         "study": study.name,
         "size": size,
         "seed": seed,
-        "commit": commit,
+        "commit": of,
         "uncommitted_changes": changed,
         "versions": {
             "python": platform.python_version(),
@@ -50,6 +50,13 @@ def record(study: Study, size: int, seed: int) -> dict[str, Any]:
         "seconds": round(time.perf_counter() - began, 1),
         "figures": figures,
     }
+
+
+def commit() -> str | None:
+    """The commit whose code runs; None where no commit holds it."""
+    if _git("status", "--porcelain", "--", *SOURCES) != "":
+        return None
+    return _git("rev-parse", "HEAD")
 
 
 def _git(*arguments: str) -> str | None:
