@@ -240,6 +240,7 @@ FILES = {
     "says that it has 5 messages, but has 2": mcap(
         topic(), GOOD, end=record(11, struct.pack("<QHIIIIQQ", 5, 1, 1, 0, 0, 0, 0, 1), bytes(4))
     ),
+    "calls one topic '/j' and '/k'": mcap(topic(), GOOD, end=topic().replace(b"/j", b"/k")),
     "more than 10,000 series": mcap(topic(), *(told(i, [f"n{i}"], [1.0]) for i in range(10_001))),
     "'/j/a\\x1b[2J\\nb' is no name": mcap(topic(), told(0, ["a\x1b[2J\nb"], [1.0])),
     "is no name: it may have 1,000 letters": mcap(topic(), told(0, ["q" * 1_001], [1.0])),
@@ -262,8 +263,8 @@ SCRIPTS = {
     "was received at 'soon'": "UPDATE messages SET timestamp = 'soon'",
     "has a message that is no data": "UPDATE messages SET data = 'hello'",
     "too big": "UPDATE messages SET data = zeroblob(300000000) WHERE id = 1",
-    "more than 10,000 topics": "WITH RECURSIVE c(x) AS (SELECT 2 UNION ALL SELECT x + 1 FROM c"
-    " WHERE x < 10002) INSERT INTO topics SELECT x, '/t' || x, 'a/b/C', 'cdr', '', '' FROM c",
+    "more than 10,000 topics": "WITH RECURSIVE c(x) AS (SELECT 9 UNION ALL SELECT x + 1 FROM c"
+    " WHERE x < 10010) INSERT INTO topics SELECT x, '/t' || x, 'a/b/C', 'cdr', '', '' FROM c",
 }
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from giajax import InputError
 from giajax.runtime.execution import run_tasks
-from giajax.runtime.files import parse_json, part_of, read_bytes, written_to
+from giajax.runtime.files import check_path, parse_json, part_of, read_bytes, written_to
 from giajax.runtime.tasks import Task
 from giajax.tasks import locked
 
@@ -38,6 +38,16 @@ def test_half_a_character_is_refused_wherever_it_is():
             parse_json(text, "a.json")
     assert parse_json('["\\ud83d\\ude00"]', "a.json") == ["\N{GRINNING FACE}"]
     assert parse_json('["\\\\ud800"]', "a.json") == ["\\ud800"]
+
+
+def test_a_circle_of_links_is_no_path(tmp_path):
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    for path in (tmp_path / "a", tmp_path / "a" / "c"):
+        with pytest.raises(InputError, match="cannot be used"):
+            check_path(path)
+    (tmp_path / "dangling").symlink_to("nowhere")
+    check_path(tmp_path / "dangling")
 
 
 @pytest.mark.skipif(not os.access("/proc/kmsg", os.R_OK), reason="of who may read the kernel's log")

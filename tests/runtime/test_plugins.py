@@ -137,6 +137,7 @@ def test_code_of_giajax_and_of_its_libraries_has_no_mark():
         ("json.py", "", "is called as another module, 'json': give it another name"),
         ("wrong_law.py", "1 / 0", r"cannot be imported \(ZeroDivisionError: division by zero\)"),
         ("wrong_words.py", "def", r"cannot be imported \(SyntaxError"),
+        ("wrong_end.py", "raise SystemExit(0)", r"cannot be imported \(SystemExit: 0\)"),
     ],
 )
 def test_what_is_no_plug_in_is_refused(tmp_path, name, text, said):

@@ -446,8 +446,13 @@ def _mcap(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Mes
                 schemas[number] = kind, _text(record) if form == "ros2msg" else ""
             elif code == _CHANNEL:
                 kind, definition = schemas[_number(record, 2)]
-                channels[number] = _Topic(_text(record), kind, _text(record), definition)
-                _know(path, channels[number], topics)
+                topic = _Topic(_text(record), kind, _text(record), definition)
+                if channels.setdefault(number, topic) != topic:  # after the data all are repeated
+                    raise InputError(
+                        f"{path} calls one topic {shown(channels[number].name)} and "
+                        f"{shown(topic.name)}, or has two kinds of it: copy it again"
+                    )
+                _know(path, topic, topics)
             else:
                 count += 1
                 topic = channels[number]
@@ -474,7 +479,7 @@ def _unchunked(
                     yield inner, each
         elif code == _DATA_END:
             data_ended = True
-        elif code == _STATISTICS or (code != _CHUNK and not data_ended):
+        elif code not in (_CHUNK, _MESSAGE) or not data_ended:
             yield code, record
 
 

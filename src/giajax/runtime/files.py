@@ -45,6 +45,7 @@ def check_path(path: str | Path) -> None:
                 f"must have names of at most {NAME_BYTES}: shorten it"
             )
         os.lstat(path)
+        os.stat(path)
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:

@@ -19,6 +19,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
+from .files import check_path, read_bytes
+from .limits import TEXT_BYTES
 from .text import InputError, one_of
 
 Registered = TypeVar("Registered", bound=type)
@@ -109,6 +111,7 @@ def load_plugin(path: Path, digest: str = "") -> None:
         InputError: there is no such file, a module has its name, it raises an error, or it is not
             the one of this SHA-256, which another process has run.
     """
+    check_path(path)
     path, name = path.resolve(), path.stem
     if path in _PLUGINS:
         return
@@ -118,7 +121,7 @@ def load_plugin(path: Path, digest: str = "") -> None:
     if name in sys.modules or (other is not None and other.origin != str(path)):
         raise InputError(f"{path} is called as another module, '{name}': give it another name")
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, TEXT_BYTES)
     except OSError:
         raise InputError(f"there is no plug-in {path}: correct the path") from None
     found = hashlib.sha256(data).hexdigest()
@@ -129,7 +132,7 @@ def load_plugin(path: Path, digest: str = "") -> None:
     try:
         # What was read is run, and no older bytecode of it.
         exec(compile(data, str(path), "exec"), vars(module))
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a file that ends the program ends no command
         del sys.modules[name]
         if isinstance(error, InputError):
             raise
