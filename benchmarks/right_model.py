@@ -60,7 +60,7 @@ def measure(quick: bool) -> dict[str, Any]:
     @jax.jit
     def run(arm: Arm, values: Any, tolerance: Any) -> tuple[Any, Any]:
         own = replace(arm, dict(zip(PATHS, values, strict=True)))
-        motion = simulate(own, command, times, solver="springs5", rtol=tolerance, atol=tolerance)
+        motion = simulate(own, command, times, rtol=tolerance, atol=tolerance)
         return motion.tip, motion.steps
 
     with_slopes = jax.jit(jax.jacfwd(run, argnums=1, has_aux=True))

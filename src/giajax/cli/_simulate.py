@@ -334,7 +334,7 @@ def simulate(
     noise: Annotated[Texts, "KEY=VALUE", "Standard deviation, by a key of [noise]."] = None,
     missing: Annotated[float, "PERCENT", "Share of each channel that is left empty."] = 0.0,
     seed: Annotated[int, "N", "Of noise, gaps and gusts.", 0] = 0,
-    solver: Solver = "tsit5",
+    solver: Solver = "springs5",
     tolerance: Tolerance = 1e-7,
     digits: Digits = 9,
     force: ForceRun = False,

@@ -281,7 +281,7 @@ def simulate(
     torque: Signal | None = None,
     pressure: Pressures | None = None,
     initial: tuple[Any, Any] | None = None,
-    solver: Solver = "tsit5",
+    solver: Solver = "springs5",
     rtol: Any = 1e-6,
     atol: Any = 1e-6,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
@@ -312,8 +312,8 @@ def simulate(
         initial: angles (rad) and rates (rad/s) at the first time, each of shape (joint,).
         solver: one of `giajax.simulation.SOLVERS`; "springs5", a linearly implicit additive
             Runge-Kutta method of order 5, is the fastest wherever springs, not accuracy, limit the
-            steps of the default. Or any solver of diffrax for ordinary differential equations, such
-            as `diffrax.Kvaerno4()`.
+            steps of explicit ones, such as "tsit5". Or any solver of diffrax for ordinary
+            differential equations, such as `diffrax.Kvaerno4()`.
         rtol, atol: relative and absolute tolerance of a step, on angles (rad) and rates (rad/s);
             "springs5" weighs those (docs/solvers.md).
             The default keeps the tip of the 20 m arm within about 1e-4 m.
