@@ -102,7 +102,9 @@ def table(found: dict[str, Any]) -> Table:
     )
     for name, each in found["arms"].items():
         allowed = ALLOWED.get(name, (1.0, 1.0))
-        cells = [f"{each['tolerance']:g}", " + ".join(map(str, each["steps"]))]
+        # What is right at none of the tolerances runs at the least, and says how wrong it is.
+        wrong = f" ({each['error']:.1g} m)" if each["error"] > ACCURACY else ""
+        cells = [f"{each['tolerance']:g}{wrong}", " + ".join(map(str, each["steps"]))]
         for of, most in zip(("run", "slopes"), allowed, strict=True):
             cells += [f"{1e3 * each[of]['seconds']:.3g}", f"{each[of]['ratio']:.2f} ({most:g})"]
         rows.add_row(name, *cells)
