@@ -105,6 +105,7 @@ def test_a_table_and_a_page(folder, tmp_path, capsys):
     assert "1.5 (held)" in printed
     assert "BIC" in printed
     page = out.read_bytes()
+    assert b"Content-Security-Policy" in page
     assert loaded_from_elsewhere(page) == []
     parsed = Page(page)
     assert len(parsed.programs()) == 1

@@ -65,6 +65,7 @@ def test_all_goes_on_where_it_was_stopped(tmp_path, capsys, made):
     assert made == [*NAMES[:2], "again", *NAMES[2:]]
     assert f"{NAMES[0]}, {NAMES[1]}: there and whole, and not made again" in capsys.readouterr().err
     page = (tmp_path / "index.html").read_text()
+    assert "Content-Security-Policy" in page
     assert [f"This is {name}" in page for name in NAMES] == [True] * len(NAMES)
     # What is whole stays, and what is not is not this command's to write over.
     (tmp_path / "fig12.png").write_bytes(b"half")

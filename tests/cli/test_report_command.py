@@ -20,6 +20,7 @@ def fit(muscle_fit):
 
 def test_a_fit_writes_its_page_and_the_next_one_removes_it(fit, tmp_path):
     page = (fit / "report.html").read_bytes()
+    assert b"Content-Security-Policy" in page
     assert loaded_from_elsewhere(page) == []
     parsed = Page(page)
     assert "arm" not in parsed.headings  # nothing is seen of a muscle
