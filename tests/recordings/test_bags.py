@@ -253,7 +253,7 @@ FILES = {
     ),
     "another JointState": mcap(topic(f"JointState[] more\n{DEFINITION}"), GOOD),
     "but must be in cdr": mcap(topic(form="json"), GOOD),
-    "reading a message of /j in": mcap(topic(), told(0, data=DATA[:20] + b"\xff" * 4 + DATA[24:])),
+    "a message of /j ": mcap(topic(), told(0, data=DATA[:20] + b"\xff" * 4 + DATA[24:])),
 }  # fmt: skip
 SCRIPTS = {
     "has no plain table messages": f"DROP TABLE messages; CREATE VIEW messages AS {ENDLESS}",
