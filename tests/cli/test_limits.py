@@ -218,6 +218,14 @@ def test_nothing_is_written_through_a_link(tmp_path, monkeypatch):
     assert path.read_bytes() == b"new"
     assert other.read_text() == "mine"
 
+    # Where root writes, /dev/full would be a file from then on.
+    for name, to in (("pipe", None), ("device", "/dev/full")):
+        place = tmp_path / f"{name}.csv"
+        os.mkfifo(place) if to is None else place.symlink_to(to)
+        with pytest.raises(InputError, match=f"is a {name}, where no file is written"):
+            write_files({place: b"new"}, force=True)
+        assert place.is_fifo() or place.is_char_device()
+
     # Somebody who could guess the temporary name.
     monkeypatch.setattr("secrets.token_hex", lambda bytes: "guessed")
     planted = tmp_path / ".guessed.part"

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..runtime.files import check_path, part_of, written_to
+from ..runtime.files import check_path, check_replaced, part_of, written_to
 from ..runtime.text import InputError
 from ..schema import InitialSection
 from ._channels import Channel, Naming, infer_model, match_name, order
@@ -290,6 +290,7 @@ def check_output_files(paths: Iterable[str | Path], *, force: bool) -> None:
         check_path(path)
         if path.is_dir():
             raise InputError(f"{path} is a folder: give the name of a file")
+        check_replaced(path)
         # A broken link is there as well, for whoever made it.
         if os.path.lexists(path) and not force:
             raise InputError(f"{path} exists and is not written over: give another name or --force")
@@ -345,6 +346,7 @@ def check_output_folder(
         raise InputError(f"{existing} cannot be written: give another folder")
     for name in names:
         check_path(folder / name)
+        check_replaced(folder / name)
         if os.path.lexists(folder / name) and not force:
             raise InputError(
                 f"{folder / name} exists and is not written over: give another folder or --force"

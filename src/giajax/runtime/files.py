@@ -69,6 +69,17 @@ def check_kind(path: Path, mode: int) -> None:
         raise InputError(f"{path} is {device}, but must be a file: write its content to one")
 
 
+def check_replaced(path: Path) -> None:
+    """Refuse a place where a device, a pipe or a socket is, also behind a link.
+
+    Where root writes, a file that is moved there takes its place for every program.
+    """
+    with contextlib.suppress(OSError):
+        device = _DEVICES.get(stat.S_IFMT(path.stat().st_mode))
+        if device is not None:
+            raise InputError(f"{path} is {device}, where no file is written: give another name")
+
+
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[BinaryIO]:
     """A file whose content is read and ends: no pipe, no device.
