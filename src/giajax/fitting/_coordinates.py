@@ -62,12 +62,29 @@ class Bijector(eqx.Module):
             known = np.isfinite(distance) & (distance > _AT_BOUND * usual)
             return np.asarray(_NEAR * np.where(known, distance, usual))
 
-        linear = near(begun - low), near(high - begun)
+        return cls._linear_near(low, high, near(begun - low), near(high - begun))
+
+    @classmethod
+    def _linear_near(
+        cls, low: np.ndarray, high: np.ndarray, above: np.ndarray, below: np.ndarray
+    ) -> Self:
+        """The map that is linear so far above the lower bound and below the upper one."""
+        width = np.where(np.isfinite(low) & np.isfinite(high), high - low, np.inf)
         with np.errstate(invalid="ignore"):
-            both = np.log1p(width / linear[0]) + np.log1p(width / linear[1])
+            both = np.log1p(width / above) + np.log1p(width / below)
         last = np.where(np.isfinite(high), np.where(np.isfinite(low), both, 0), np.inf)
-        numbers = [on_device(each, jnp.result_type(float)) for each in (*linear, last)]
+        numbers = [on_device(each, jnp.result_type(float)) for each in (above, below, last)]
         return cls(tuple(low.tolist()), tuple(high.tolist()), *numbers)
+
+    def distances(self) -> np.ndarray:
+        """How far above its lower bound a start is that has this map, shape (parameter,)."""
+        return np.asarray(self.above_lower, dtype=float) / _NEAR
+
+    def linear_within(self, distances: npt.ArrayLike) -> Self:
+        """The map of starts that are so far above their lower bounds."""
+        low, high = np.asarray(self.lower), np.asarray(self.upper)
+        above = _NEAR * np.asarray(distances, dtype=float)
+        return self._linear_near(low, high, above, np.asarray(self.below_upper, dtype=float))
 
     def at(self, columns: Sequence[int] | np.ndarray) -> "Bijector":
         """The map of some of the parameters, by their positions."""

@@ -11,6 +11,7 @@ import numpy as np
 from ..runtime.arrays import on_device
 from ..runtime.text import InputError, time_in_words
 from ._checks import can_improve, with_finer_tolerance, with_suitable_tolerance
+from ._far_starts import at_first_rows, sized_by_data, with_all_rows, with_next_rows
 from ._linearise import BlockJacobian, minimised
 from ._records import Iteration
 from ._steps import FitState, Reason, move, reweight, step, trial
@@ -232,7 +233,7 @@ def descend(
                 return (
                     _converged(reached)
                     if reached.converged
-                    else reached.ended("not_converged", *limit)
+                    else with_all_rows(reached).ended("not_converged", *limit)
                 )
             shown, reached = len(reached.history), advance(reached)
             if keep is not None:
@@ -245,7 +246,7 @@ def descend(
         # An optimum that was reached in this very moment is one.
         if reached.ending is not None:
             return reached
-        return reached.ended(
+        return with_all_rows(reached).ended(
             "interrupted",
             f"interrupted after {reached.trials} iterations; this is the best so far",
             "interrupted",
@@ -287,7 +288,8 @@ def _at_start(state: FitState) -> FitState:
     if np.any(moves):
         if state.setup.suited is None:
             state = with_suitable_tolerance(state)
-        return dataclasses.replace(state, done=False, converged=False).recorded(accepted=True)
+        state = dataclasses.replace(sized_by_data(state), done=False, converged=False)
+        return at_first_rows(state.recorded(accepted=True))
     state = state.recorded(accepted=True)
     return state.ended(
         "not_converged",
@@ -309,6 +311,8 @@ def with_active(state: FitState, moves: np.ndarray) -> FitState:
 def _after(tried: FitState) -> FitState:
     """After a trial step: the same, or what may still be done where the fit does not get on."""
     reason, sentence = stopped_by(tried) or ("", "")
+    if tried.part < 1:
+        return with_next_rows(tried, bool(reason))
     # A step that is refused so near to an optimum may be so for what the cost jumps by.
     refused = not (tried.done or bool(tried.inner.accepted))
     lost = refused and refused_near_optimum(tried)

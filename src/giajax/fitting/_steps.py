@@ -6,6 +6,7 @@ whole fit in hand. All of them evaluate the model by the same compiled program.
 
 import dataclasses
 import functools
+import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, Protocol, Self
@@ -83,6 +84,8 @@ class FitState:
         sizes: their typical sizes, for judging whether anything responds to them.
         coordinate: the best point so far; `inner` is the solver's own state there.
         active: which may move.
+        part: of the rows of each run, from the first, that count; less than 1 on the way from a
+            start that is far off.
         finer: what a finer tolerance of the integrator changes of the residuals there; None where
             nobody has asked.
         done: whether the solver wants no further step; `converged`, whether it is at an optimum.
@@ -102,6 +105,7 @@ class FitState:
     coordinate: Array
     inner: MarquardtState
     active: Array
+    part: float = 1.0
     finer: np.ndarray | None = None
     done: bool = False
     converged: bool = False
@@ -312,6 +316,28 @@ def move(state: FitState, coordinate: Any) -> FitState:
     return dataclasses.replace(state, coordinate=coordinate, inner=inner, finer=None)
 
 
+def in_coordinates(state: FitState, bijector: Bijector) -> FitState:
+    """Go on from the same point in other coordinates; not evaluated yet."""
+    coordinate = bijector.inverse(state.values())
+    problem = dataclasses.replace(state.problem, bijector=bijector)
+    return move(dataclasses.replace(state, problem=problem), coordinate)
+
+
+def counting(state: FitState, part: float) -> FitState:
+    """The same point with the first part of the rows of each run, which is not evaluated yet."""
+    runs = state.setup.runs
+    recorded = [run.observations for run in runs]
+    batches = []
+    for batch in with_recorded(state.problem.batches, runs, state.noise, recorded):
+        weight = np.array(batch.weight)
+        weight[:, math.ceil(part * weight.shape[1]) :] = 0
+        counted = on_device(weight, batch.weight.dtype)
+        batches.append(eqx.tree_at(lambda batch: batch.weight, batch, counted))
+    problem = dataclasses.replace(state.problem, batches=tuple(batches))
+    state = dataclasses.replace(state, problem=problem, part=part)
+    return move(dataclasses.replace(state, round_began=len(state.history)), state.coordinate)
+
+
 def reweight(state: FitState, noise: Noise) -> FitState:
     """Go on from the same point with another noise; not evaluated yet."""
     runs = state.setup.runs
@@ -388,7 +414,7 @@ _SOLVER = ("damping", "growth", "scale", "step", "accepted", "detour", "finite",
 _STORED = {"finite": "sound"}  # their names in a journal, where they are others
 
 # Attributes of a state that a line has as they are.
-_AS_THEY_ARE = ("trials", "done", "converged", "rounds_left", "round_began", "ending")
+_AS_THEY_ARE = ("part", "trials", "done", "converged", "rounds_left", "round_began", "ending")
 
 CHANGED = "the journal is not that of this fit, or a line of it was changed"
 
@@ -401,6 +427,8 @@ class KeptState:
         cost: shows whether this machine computes the same.
         solver: numbers of the solver by name, those of `_SOLVER`.
         tolerance: of the integration; None of a model without one, and of an earlier version.
+        distances: from the lower bounds, which make the coordinates (`Bijector.linear_within`);
+            None of an earlier version, whose coordinates are those of the start.
         history, step_seconds: what has come since the line before.
         seconds: that the fit has taken.
     """
@@ -416,6 +444,8 @@ class KeptState:
     round_began: int
     noise: KeptNoise
     tolerance: float | None = None
+    distances: list[float] | None = None
+    part: float = 1.0
     history: tuple[Iteration, ...]
     step_seconds: tuple[float, ...]
     seconds: float
@@ -450,7 +480,11 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
     coordinate, active = np.asarray(last.coordinate, dtype=float), np.asarray(last.active)
     if coordinate.shape != begun.coordinate.shape or active.shape != coordinate.shape:
         raise ValueError("another number of free coordinates")
+    if last.distances is not None:
+        begun = in_coordinates(begun, begun.problem.bijector.linear_within(last.distances))
     there = at_tolerance(reweight(begun, begun.noise.again(last.noise)), last.tolerance)
+    if last.part < 1:
+        there = counting(there, last.part)
     there = dataclasses.replace(move(there, coordinate), active=jnp.asarray(active))
     there = step(there)
     if there.cost != last.cost:
@@ -480,6 +514,7 @@ def journal_writer(state: FitState, journal: FitJournal, elapsed: Callable[[], f
             solver={_STORED.get(k, k): np.asarray(getattr(inner, k)).tolist() for k in _SOLVER},
             noise=reached.noise.kept(),
             tolerance=reached.tolerance,
+            distances=reached.problem.bijector.distances().tolist(),
             history=reached.history[shown:],
             step_seconds=reached.step_seconds[stepped:],
             seconds=elapsed(),
