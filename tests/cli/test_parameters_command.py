@@ -1,5 +1,6 @@
 """`giajax parameters`: the declarations, as a table and as JSON."""
 
+import io
 import json
 from pathlib import Path
 
@@ -35,6 +36,22 @@ def test_the_table_has_a_row_for_every_declaration(capsys):
         assert ("assumed" in row.split()) == declaration.assumed
         if np.isfinite(declaration.upper):
             assert f"{declaration.lower:g} to {declaration.upper:g}" in row
+
+
+def test_on_a_terminal_it_is_text_without_codes(monkeypatch):
+    """What a file says must not command a terminal, so that nothing does."""
+
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stdout", terminal)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main(["parameters"]) == 0
+    assert terminal.getvalue().split()[:4] == ["parameter", "unit", "value", "bounds"]
+    assert "x1b" not in terminal.getvalue()
 
 
 def test_json_says_what_is_declared(capsys):

@@ -288,7 +288,10 @@ def _ended(command: Any, arguments: list[str]) -> int:
         return _say(_usage(error), BAD_INPUT)
     except Ended as ended:
         return _say("interrupted", ended.status)
-    except (SystemExit, KeyboardInterrupt, GeneratorExit):
+    except SystemExit as error:
+        why = f"a plug-in ended the program (SystemExit: {error.code})"
+        return _say(f"{why}: let it raise an error that says what is wrong", BAD_INPUT)
+    except (KeyboardInterrupt, GeneratorExit):
         raise
     except BaseException as error:  # Polars' PanicException is no Exception
         if is_stopped():  # what the signal raised came out of a foreign library as this
@@ -348,7 +351,8 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, left:
         shown.add_column(Text(heading), justify="left" if position < left else "right")
     for row in rows:
         shown.add_row(*(Text(_cell(value)) for value in row))
-    console = Console(highlight=False)
+    # What a file says must not command a terminal, so no command of ours gets there either.
+    console = Console(highlight=False, color_system=None)
     if console.is_terminal:
         console.print(shown)
         return
