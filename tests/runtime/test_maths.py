@@ -113,7 +113,11 @@ def test_a_choice_has_the_derivative_of_what_was_chosen():
         found, slope = jax.jvp(of, (x,), (jnp.ones_like(x),))
         assert_allclose(found, values, rtol=0, err_msg=name)
         assert_allclose(slope, slopes, rtol=0, err_msg=name)
-    assert jnp.isnan(_maths.limited(jnp.asarray(jnp.nan), low, high))
+    nothing = jnp.asarray(jnp.nan)
+    assert jnp.isnan(_maths.limited(nothing, low, high))
+    assert jnp.isnan(_maths.larger(jnp.ones(2), nothing)).all()
+    assert jnp.isnan(_maths.smaller(jnp.ones(2), nothing)).all()
+    assert jnp.isnan(_maths.limited(jnp.ones(2), nothing, nothing)).all()
 
 
 def test_a_derivative_does_not_depend_on_how_a_compiler_rounds():

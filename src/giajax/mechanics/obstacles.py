@@ -190,12 +190,12 @@ def _search(lines: Lines) -> _Found:
     """
     first, last, faces = within_faces(lines)
     some = last > first
-    last = jnp.maximum(last, first)
+    last = larger(last, first)
     flat = lines.direction == 0
     slope = jnp.where(flat, 1, lines.direction)
     crossings = [(sign * lines.half - lines.start) / slope for sign in (-1, 1)]
     every = jnp.concatenate([first[None], last[None], *crossings])
-    places = jnp.clip(every, first[None], last[None])
+    places = limited(every, first[None], last[None])
 
     def look(place: Array) -> tuple[Array, Array]:
         """Square of the distance, and half of its slope."""

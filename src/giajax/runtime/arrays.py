@@ -133,14 +133,15 @@ def larger(x: Array, y: Array | float) -> Array:
     This, and the functions below, choose by a comparison. The derivatives of `jnp.maximum`,
     `jnp.minimum`, `jnp.clip` and `jnp.hypot` ask whether the result equals an argument. A compiler
     may work out that argument twice and round it differently (a product and a sum in one
-    instruction): then nothing is equal, and the derivative is 0 where it is not.
+    instruction): then nothing is equal, and the derivative is 0 where it is not. As there, what is
+    no number makes none.
     """
-    return jnp.where(x < y, y, x)
+    return jnp.where((x < y) | (y != y), y, x)
 
 
 def smaller(x: Array, y: Array | float) -> Array:
     """The smaller of two, element by element; where both are equal, the derivative is that of x."""
-    return jnp.where(x > y, y, x)
+    return jnp.where((x > y) | (y != y), y, x)
 
 
 def limited(x: Array, low: Array | float, high: Array | float) -> Array:

@@ -22,7 +22,7 @@ from ..mechanics.joint import (
     check_geometry,
     muscle_balance,
 )
-from ..runtime.arrays import Array, Bool, Float, Scalar
+from ..runtime.arrays import Array, Bool, Float, Scalar, larger
 from ..runtime.programs import program
 from ..runtime.text import InputError
 from ..schema.parameters import is_concrete
@@ -131,7 +131,7 @@ class Signal(eqx.Module):
     def __call__(self, time: Scalar) -> Float[Array, " width"]:
         """Value at a time (s)."""
         knot = last_before(self.times, time)
-        elapsed = jnp.maximum(time - self.times[knot], 0)
+        elapsed = larger(time - self.times[knot], 0)
         return self.values[knot] + self.slopes[knot] * elapsed
 
     def rate(self, time: Scalar) -> Float[Array, " width"]:
@@ -244,7 +244,7 @@ def lagged(signal: Signal, lag: Array | None) -> Signal | LaggedSignal:
 def _left_over(elapsed: Array, lag: Array) -> Array:
     """What is left of a transient after a time, s."""
     there = lag > _NO_LAG
-    return jnp.where(there, jnp.exp(-jnp.maximum(elapsed, 0) / jnp.where(there, lag, 1)), 0)
+    return jnp.where(there, jnp.exp(-larger(elapsed, 0) / jnp.where(there, lag, 1)), 0)
 
 
 def last_before(times: Float[Array, " knot"], time: Scalar) -> Array:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from ...runtime.arrays import Array, Bool, Scalar, hypotenuse, larger, smaller
+from ...runtime.arrays import Array, Bool, Scalar, hypotenuse, smaller
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import ALPHA, BETA, LOAD
@@ -56,7 +56,7 @@ class Alpha(eqx.Module):
 
     def __call__(self, angle: Shaped) -> Shaped:
         """Alpha at bending angles (rad), N m."""
-        return self.offset + self.curvature * larger(angle - self.threshold, 0) ** 2
+        return self.offset + self.curvature * jnp.maximum(angle - self.threshold, 0) ** 2
 
 
 class Beta(eqx.Module):
@@ -74,8 +74,9 @@ class Beta(eqx.Module):
     def __call__(self, angle: Shaped) -> Shaped:
         """Beta at bending angles (rad, of either sign), N m, in the continuous reading."""
         size = jnp.abs(angle)
-        wedge = self.offset * larger(1 - size / self.width, 0)
-        return wedge - self.curvature * larger(size - self.threshold, 0) ** 2
+        # A blend that ends where the wedge does has half of the slope there, as results have it.
+        wedge = self.offset * jnp.maximum(1 - size / self.width, 0)
+        return wedge - self.curvature * jnp.maximum(size - self.threshold, 0) ** 2
 
     def printed(self, angle: Shaped) -> Shaped:
         """Beta as the paper prints it, for angles <= 0 (rad), N m; 0 where it says nothing."""
