@@ -31,7 +31,7 @@ _MOST_PAIRS = 10  # many pairs are one cause: the worst ones show it
 _BENT = 0.3  # a third of a standard error's square, or of its symmetry
 _AGAINST = 3.0  # standard deviations of a prior that the data have moved a parameter by
 _MOSTLY = 0.5  # a prior that says more than this of a parameter
-_GONE = 1e-2  # of its start: an essential parameter that is surely less is as good as 0
+_GONE = 1e-2  # of its default: an essential parameter that is surely less may be 0
 _ONE_SIDED = 1.645  # normal quantile of a one-sided interval of 95 %
 
 # Correlation times without which an estimate of the correlation, and all errors, are uncertain.
@@ -284,19 +284,28 @@ def beyond_usual(state: FitState, statistics: Statistics) -> Reason | None:
 
 
 def vanished(state: FitState, statistics: Statistics) -> Reason | None:
-    """An essential parameter that has gone to 0: the residuals do not show what is wrong then."""
-    starts = state.setup.starts()
+    """An essential parameter that is 0 within its error, which no residual shows to be wrong.
+
+    Where a command varies: what never moves has no stiffness to be found. It is also far below its
+    usual size, so that one which the data do not know is not meant.
+    """
+    runs = state.setup.runs
+    commands = (
+        (run, name) for run in runs for name in run.values if run.part_of(name) == "command"
+    )
+    if not any(np.ptp(run.values[name]) > 0 for run, name in commands):
+        return None
     for parameter, places in zip(state.setup.parameters, state.problem.positions, strict=True):
-        for index in places if parameter.declaration.essential else ():
-            most = _GONE * starts[index]
+        declaration = parameter.declaration
+        for index in places if declaration.essential else ():
             value = float(statistics.values[index])
-            if value + 3 * statistics.standard_errors.get(index, 0.0) < most:
-                unit = parameter.declaration.unit
+            error = 3 * statistics.standard_errors.get(index, 0.0)
+            if value <= error and value + error < _GONE * declaration.default:
                 sentence = (
-                    f"{statistics.labels[index]} has fallen from {starts[index]:.3g} to "
-                    f"{value:.1g} {unit}: as far as the data show, nothing follows what is "
-                    "commanded there. See whether the drives of these joints worked, and hold the "
-                    "parameter at what is known of it"
+                    f"{statistics.labels[index]} is {value:.1g} {declaration.unit}, which is 0 "
+                    "within its error: as far as the data show, nothing follows what is commanded "
+                    "there. See whether the drives of these joints worked, and hold the parameter "
+                    "at what is known of it"
                 )
                 return Reason("vanished", sentence, 1.0, 1.0)
     return None

@@ -11,12 +11,14 @@ import math
 
 import numpy as np
 
+from ..recordings import Run
 from ._problem import with_recorded
 from ._steps import FitState, counting, in_coordinates, move, step
 
 # A record swings that is so often now above its mean and now below it, by this part of its standard
-# deviation. Of others the linear model of the cost holds from farther off.
-_SWINGS, _BEYOND = 6, 0.5
+# deviation, and each time for so many rows, which noise is not. Of others the linear model of the
+# cost holds from farther off.
+_SWINGS, _BEYOND, _EACH = 6, 0.5, 8
 
 # Rows are followed as long as their squared residuals add up to no more than this part of those of
 # constants, closely by the second; a fit that follows all of them begins with all of them.
@@ -50,25 +52,32 @@ def sized_by_data(state: FitState) -> FitState:
         return state
     distances = np.where(small, noticed, bijector.distances())
     there = step(in_coordinates(state, bijector.linear_within(distances)))
-    return dataclasses.replace(there, done=False, converged=False)
+    return dataclasses.replace(there, done=False, converged=False) if there.evaluated else state
 
 
 def at_first_rows(state: FitState) -> FitState:
-    """The start of a free motion that swings: as many rows as the model follows, if not most."""
+    """The start of one free motion that swings: as many rows as the model follows, if not most."""
     runs, batches = state.setup.runs, state.problem.batches
-    if state.setup.settings.optimiser is not None or not state.noise.is_white:
+    if len(runs) > 1 or runs[0].times is None or not _is_free(runs[0]):
         return state
-    # What is driven does not get out of step.
-    driven = (run.part_of(name) == "input" for run in runs for name in run.values)
-    if any(run.times is None for run in runs) or any(driven):
+    settled = state.setup.settings.optimiser is None and state.setup.loss.is_linear
+    if not (settled and state.noise.is_white):
         return state
     if all(np.sum(model) <= _FOLLOWS * np.sum(constant) for model, constant in _squares(state)):
         return state
-    if not any(_swings(row) for run in runs for row in run.observations.values()):
+    if not any(_swings(row) for row in runs[0].observations.values()):
         return state
-    least = _ROWS * state.problem.size / min(batch.observed.shape[1] for batch in batches)
-    part = max(_followed(state), least)
-    return state if part > _WHOLE else _counting(state, part)
+    part = max(_followed(state), _ROWS * state.problem.size / batches[0].observed.shape[1])
+    if part > _WHOLE:
+        return state
+    there = _counting(state, part)
+    return there if there.evaluated else state
+
+
+def _is_free(run: Run) -> bool:
+    """Whether nothing drives a run: what is driven gets less out of step, and begins at rest."""
+    others = (values for name, values in run.values.items() if run.part_of(name) != "measured")
+    return not any(np.ptp(values) > 0 for values in others)
 
 
 def with_next_rows(tried: FitState, stopped: bool) -> FitState:
@@ -89,16 +98,17 @@ def with_next_rows(tried: FitState, stopped: bool) -> FitState:
 
 
 def with_all_rows(state: FitState) -> FitState:
-    """The same point with all rows, or the start where that describes them better."""
-    return state if state.part == 1 else _counting(state, 1.0)
+    """The same point, evaluated with all rows."""
+    return state if state.part == 1 else step(counting(state, 1.0))
 
 
 def _counting(state: FitState, part: float) -> FitState:
-    """The same point, evaluated; with all rows the start, where that describes them better."""
+    """The same point with some rows; with all rows the start, where that describes them better."""
     there = step(counting(state, part if part <= _WHOLE else 1.0))
-    if there.part == 1 and state.history and not there.cost <= state.history[0].cost:
-        start = there.problem.bijector.inverse(there.start)
-        there = step(move(there, start))
+    known = state.history[0].cost if state.history else np.inf
+    if state.history and not (there.evaluated and (there.part < 1 or there.cost <= known)):
+        there = counting(there, 1.0)
+        there = step(move(there, there.problem.bijector.inverse(there.start)))
     return dataclasses.replace(there, done=False, converged=False)
 
 
@@ -131,7 +141,7 @@ def _swings(values: np.ndarray) -> bool:
     known = values[np.isfinite(values)]
     off = known - np.mean(known) if len(known) else known
     sides = np.sign(off[np.abs(off) > _BEYOND * np.std(off)]) if len(off) else off
-    return bool(np.count_nonzero(np.diff(sides)) >= _SWINGS)
+    return bool(_SWINGS <= np.count_nonzero(np.diff(sides)) <= len(known) / _EACH)
 
 
 def _followed(state: FitState) -> float:

@@ -1,5 +1,6 @@
 """The host loop of a fit: steps until the optimum, and every rule that stops it."""
 
+import contextlib
 import dataclasses
 import itertools
 import time
@@ -230,11 +231,11 @@ def descend(
         while reached.ending is None:
             if (limit := _limit(reached, max_iterations, budget)) is not None:
                 # At an optimum only a last step nearer to it was left to try.
-                return (
-                    _converged(reached)
-                    if reached.converged
-                    else with_all_rows(reached).ended("not_converged", *limit)
-                )
+                if reached.converged:
+                    return _converged(reached)
+                sentence, reason = limit
+                sentence += _rows(reached)
+                return with_all_rows(reached).ended("not_converged", sentence, reason)
             shown, reached = len(reached.history), advance(reached)
             if keep is not None:
                 keep(reached)
@@ -246,12 +247,18 @@ def descend(
         # An optimum that was reached in this very moment is one.
         if reached.ending is not None:
             return reached
-        return with_all_rows(reached).ended(
-            "interrupted",
-            f"interrupted after {reached.trials} iterations; this is the best so far",
-            "interrupted",
-        )
+        sentence = f"interrupted after {reached.trials} iterations; this is the best so far"
+        sentence += _rows(reached)
+        # Interrupted once more, it ends with what counted.
+        with contextlib.suppress(KeyboardInterrupt):
+            reached = with_all_rows(reached)
+        return reached.ended("interrupted", sentence, "interrupted")
     return reached
+
+
+def _rows(state: FitState) -> str:
+    """Which rows counted in a fit that began with the first ones."""
+    return f" (of the first {state.part:.0%} of the rows)" if state.part < 1 else ""
 
 
 def _limit(

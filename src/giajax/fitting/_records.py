@@ -107,7 +107,8 @@ class Iteration:
 
     Attributes:
         number: 0 for the evaluation of the start.
-        cost: half the sum of the loss, at the best point so far.
+        cost: half the sum of the loss, at the best point so far, of the rows that count: of a free
+            motion that swings and a start far off these are the first ones for a while.
         step: largest change of a free coordinate that was tried: relative for a positive
             parameter, in its own unit for one without bounds.
         accepted: whether the trial point became the best one.
