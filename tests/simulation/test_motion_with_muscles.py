@@ -241,7 +241,7 @@ def test_derivatives_from_rest_are_slopes(solver, lag):
         off = jnp.zeros_like(start).at[index].set(step)
         slope = (angles(start + off) - angles(start - off)) / (2 * step)
         # With a lag, so much of it that one direction alone and all together differ by 0.4 %.
-        # Without it springs5 is right to 0.2 % by the anchors, at this tolerance, and tsit5 to 0.04 %.
+        # Without it springs5 is right to 0.2 % by the anchors at this tolerance, tsit5 to 0.04 %.
         off = (4e-3 if lag is None else 1e-2) * np.max(np.abs(slope))
         assert_allclose(found[..., index], slope, atol=off, err_msg=path)
 
