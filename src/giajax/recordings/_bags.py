@@ -6,6 +6,7 @@ and how a message is read.
 """
 
 import contextlib
+import errno
 import importlib
 import io
 import re
@@ -13,7 +14,7 @@ import sqlite3
 import tempfile
 import zlib
 from array import array
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path, PurePath
@@ -28,6 +29,7 @@ from ..runtime.limits import (
     CELL_BYTES,
     CHUNK_BYTES,
     COLUMNS,
+    MESSAGE_BYTES,
     TEXT_BYTES,
     UNPACKED_BYTES,
     UNPACKED_TIMES,
@@ -125,30 +127,19 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
     if how.frame_rate is not None:
         raise InputError(f"{path}: a bag has its own times: leave out --frame-rate")
     ignored = ImportSettings(ignore=how.ignore)  # what is not read may have any clock
-    found = _Found(path, get_typestore(Stores.LATEST))
+    found = _Found(path, get_typestore(Stores.LATEST), ignored)
     with contextlib.closing(_messages(path, found.topics)) as messages:
-        for each, received, data in messages:
-            # Of a topic that is ignored whole, nothing but the names matters.
-            whole = ignored.keeps(each.name) or ignored.keeps(f"{each.name}/")
-            with contextlib.nullcontext() if whole else contextlib.suppress(InputError):
-                found.add(each, received, data)
-    if not found.series:
-        kinds = ", ".join(kind.replace("/msg/", "/") for kind in _MESSAGES)
-        topics = [f"{each.name} ({each.kind})" for each in found.topics]
-        raise InputError(
-            f"{path} has no message of {kinds}, but {some(topics) or 'none'}: give another bag"
-        )
-    clocks = {
-        topic: np.frombuffer(clock, dtype=np.int64).reshape(-1, 2)
-        for topic, clock in found.clocks.items()
-    }
-    kept = dict.fromkeys(topic for topic, thing, *_ in found.series if ignored.keeps(thing))
-    stamps = _stamps(path, {topic: clocks[topic] for topic in kept})
+        for each in messages:
+            found.add(*each)
+    if not found.series and not found.ignored:
+        raise InputError(f"{path} {_said_of(found.topics)}")
+    kept = [topic for topic, thing, *_ in found.series if ignored.keeps(thing)]
+    clocks = {topic: np.frombuffer(found.clocks[topic][1], dtype=np.int64) for topic in kept}
+    stamps = _stamps(path, clocks)
     moments = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *stamps.values()]))
-    columns = sum(ignored.keeps(thing) for _, thing, *_ in found.series)
-    if columns * len(moments) > BAG_NUMBERS:
+    if len(kept) * len(moments) > BAG_NUMBERS:
         raise InputError(
-            f"{path} is a table of {columns:,} columns and {len(moments):,} rows, but may have "
+            f"{path} is a table of {len(kept):,} columns and {len(moments):,} rows, but may have "
             f"{BAG_NUMBERS:,} numbers at most: leave topics out with --ignore, or split the bag"
         )
     nothing: Numbers = np.broadcast_to(np.nan, len(moments))
@@ -165,40 +156,37 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
             values = np.full(len(moments), np.nan)
             values[np.searchsorted(moments, at)] = np.frombuffer(cells)
         things.setdefault(thing, []).append(ForeignColumn(label, quantity, values))
-    lengths = False
-    for thing, of in things.items():
-        if of[0].quantity == "length":
-            lengths = True
-            metres = [column.values for column in of]
-            things[thing] = placed(metres, how.axes or "xyz", f"{path}: {thing}")
+    for thing, label, quantity in found.ignored:
+        things.setdefault(thing, []).append(ForeignColumn(label, quantity, nothing))
+    lengths = [thing for thing, of in things.items() if of[0].quantity == "length"]
+    for thing in lengths:
+        metres = [column.values for column in things[thing]]
+        things[thing] = placed(metres, how.axes or "xyz", f"{path}: {thing}")
     how.check_used(path, "ROS 2", *(["axes"] if lengths else []))
-    times = (moments - moments[:1]) / _NS
-    return ForeignTable("a bag of ROS 2", times, things, merged=True)
+    return ForeignTable("a bag of ROS 2", (moments - moments[:1]) / _NS, things, merged=True)
 
 
 def _stamps(path: Path, clocks: Mapping[str, _Moments]) -> dict[str, _Moments]:
-    """Times of the messages of topics, ns, of the stamp and the reception of each."""
-    stamps = {}
+    """Times of the messages of topics, ns, of the stamp and the reception of each, in turns."""
+    stamps: dict[str, _Moments] = {}
+    received: list[int] = []
     for topic, clock in clocks.items():
-        none = int(np.sum(clock[:, 0] == 0))
-        if 0 < none < len(clock) and clock[:, 0].max() > _SINCE_1970:
+        stamp, reception = clock[::2], clock[1::2]
+        none = int(np.sum(stamp == 0))
+        if 0 < none < len(stamp) and stamp.max() > _SINCE_1970:
             raise InputError(
-                f"{path}: {none} of {len(clock)} messages of {topic} have no time stamp, but the "
+                f"{path}: {none} of {len(stamp)} messages of {topic} have no time stamp, but the "
                 f"others have one: correct the stamps, or leave them out with --ignore '{topic}*'"
             )
-        stamps[topic] = clock[:, 1 if none == len(clock) else 0]
-    received = [
-        int(end) for clock in clocks.values() for end in (clock[:, 1].min(), clock[:, 1].max())
-    ]
+        stamps[topic] = reception if none == len(stamp) else stamp
+        received += [int(reception.min()), int(reception.max())]
     spans = {topic: (int(each.min()), int(each.max())) for topic, each in stamps.items()}
     whole = (min(received, default=0), max(received, default=0))
     length = max(last - first for first, last in [whole, *spans.values()])
-    order = sorted(spans, key=spans.__getitem__)
-    latest = None
-    for topic, later in pairwise(order):
-        latest = spans[topic][1] if latest is None else max(latest, spans[topic][1])
-        gap = spans[later][0] - latest
-        if gap > length:
+    latest = -_MOMENTS
+    for topic, later in pairwise(sorted(spans, key=spans.__getitem__)):
+        latest = max(latest, spans[topic][1])
+        if (gap := spans[later][0] - latest) > length:
             raise InputError(
                 f"{path}: the clocks of {topic} and {later} lie {gap / _NS:.6g} s apart, but the "
                 f"bag lasts {length / _NS:.6g} s: correct the stamps, or leave one out, such as "
@@ -219,59 +207,72 @@ class _Topic(NamedTuple):
     definition: str
 
 
+def _said_of(topics: Collection[_Topic]) -> str:
+    """What a bag has in which there is no number."""
+    known = [each for each in topics if each.kind in _MESSAGES]
+    ros_1 = [each for each in topics if each.form == "ros1"]
+    listed = some([f"{each.name} ({each.kind})" for each in known or ros_1 or topics])
+    if known:
+        return f"has no messages, or empty ones, of {listed}: record them again"
+    if ros_1:
+        return f"has messages of ROS 1, {listed}: convert its .bag by rosbags-convert"
+    return f"has no message of {', '.join(_MESSAGES)}, but {listed or 'none'}: give another bag"
+
+
 @dataclass
 class _Found:
     """What was found in the messages of a bag so far.
 
     Attributes:
+        how: what is ignored.
         topics: all, also those of other kinds of messages.
-        clocks: by topic, the stamp and the reception of each message, ns, one after the other.
+        read: topics of messages, and whether these are read, or the topic is ignored whole.
+        clocks: by topic, kind, and the stamp and the reception of each message, ns, in turns.
         series: by topic, thing, label and quantity: the number of the message, and the value.
+        ignored: thing, label and quantity of the series of topics that are ignored whole.
     """
 
     path: Path
     store: Any
+    how: ImportSettings
     topics: dict[_Topic, None] = field(default_factory=dict)
-    clocks: dict[str, array] = field(default_factory=dict)
+    read: dict[_Topic, bool] = field(default_factory=dict)
+    clocks: dict[str, tuple[str, array]] = field(default_factory=dict)
     series: dict[tuple[str, str, str, str], tuple[array, array]] = field(default_factory=dict)
+    ignored: dict[tuple[str, str, str], None] = field(default_factory=dict)
     numbers: int = 0
+    numbers_ignored: int = 0
 
-    def check(self, topic: _Topic) -> None:
-        """Refuse a topic whose messages are not read as its bag says that they are."""
-        if topic.form != "cdr":
+    def add(self, topic: _Topic, received: Any, data: bytes) -> None:
+        """A message, of which nothing but the names matters where its topic is ignored whole."""
+        what = f"a message of {topic.name} in {self.path}"
+        if topic not in self.read:
+            below = ImportSettings(ignore=[each for each in self.how.ignore if each[-1:] == "*"])
+            self.read[topic] = self.how.keeps(topic.name) or below.keeps(f"{topic.name}/")
+            if self.read[topic]:
+                self._check(topic)
+        if not self.read[topic]:
+            self._add_names(topic, data, what)
+            return
+        if not (type(received) is int and 0 <= received < _MOMENTS):
             raise InputError(
-                f"{self.path}: messages of {topic.name} are in {shown(topic.form)}, but must be in "
-                "cdr: record them so"
+                f"{what} was received at {shown(received)}: it must be ns since 1970, so correct it"
             )
-        said = _fields(topic.kind, topic.definition)
-        known = _fields(topic.kind, self.store.generate_msgdef(topic.kind, ros_version=2)[0])
-        for kind, fields in said.items():
-            if fields and kind in known and fields != known[kind]:
-                raise InputError(
-                    f"{self.path}: messages of {topic.name} have another {kind} than that of "
-                    f"ROS 2, {shown(', '.join(known[kind]))}: record them as that"
-                )
-
-    def add(self, topic: _Topic, received: int, data: bytes) -> None:
-        """A message."""
-        if topic.name not in self.clocks:
-            self.check(topic)
-        with tried(f"reading a message of {topic.name} in {self.path}"):
-            message = self.store.deserialize_cdr(data, topic.kind)
+        self._count(2)  # when it was stamped and received, of which empty messages consist
+        message = self._message(topic, data, what)
         stamp = message.header.stamp
-        clock = self.clocks.setdefault(topic.name, array("q"))
+        _, clock = self.clocks[topic.name]
         number = len(clock) // 2
         clock.extend((stamp.sec * _NS + stamp.nanosec, received))
         for thing, label, quantity, value in _MESSAGES[topic.kind](topic.name, message):
+            self._count(1)
             key = (topic.name, thing, label, quantity)
             if key not in self.series:
-                self._check_name(thing)
+                _check_name(self.path, thing, len(self.series), "series")
                 self.series[key] = array("q"), array("d")
             numbers, values = self.series[key]
             if numbers and numbers[-1] == number:
-                raise InputError(
-                    f"{self.path}: a message of {topic.name} has {thing} twice: rename one"
-                )
+                raise InputError(f"{what} has {thing} twice: rename one")
             if abs(value) > VALUE:
                 raise InputError(
                     f"{self.path}: {thing} is {value:g} in a message, but may be {VALUE:g} at "
@@ -279,63 +280,111 @@ class _Found:
                 )
             numbers.append(number)
             values.append(value)
-            self.numbers += 1
+
+    def _add_names(self, topic: _Topic, data: bytes, what: str) -> None:
+        if self.numbers_ignored < BAG_NUMBERS:
+            self.numbers_ignored += 2 + len(data) // 8
+            with contextlib.suppress(InputError):
+                for cell in _MESSAGES[topic.kind](topic.name, self._message(topic, data, what)):
+                    if cell[:3] not in self.ignored:
+                        _check_name(self.path, cell.thing, len(self.ignored), "series")
+                        self.ignored[cell[:3]] = None
+
+    def _check(self, topic: _Topic) -> None:
+        """Refuse a topic whose messages are not read as its bag says that they are."""
+        what = f"{self.path}: messages of {topic.name}"
+        if topic.form != "cdr":
+            raise InputError(
+                f"{what} are in {shown(topic.form)}, but must be in cdr: record them so"
+            )
+        kind, _ = self.clocks.setdefault(topic.name, (topic.kind, array("q")))
+        if kind != topic.kind:
+            raise InputError(f"{what} are {kind} and {topic.kind}: give each kind its own topic")
+        self._count(len(topic.definition))  # a letter takes as long as a number
+        known = dict(_fields(kind, self.store.generate_msgdef(kind, ros_version=2)[0]))
+        for part, fields in _fields(kind, topic.definition):
+            if fields and fields != known.get(part, fields):
+                raise InputError(
+                    f"{what} have another {part} than that of ROS 2, "
+                    f"{shown(', '.join(known[part]))}: record them as that"
+                )
+
+    def _count(self, numbers: int) -> None:
+        self.numbers += numbers
         if self.numbers > BAG_NUMBERS:
+            raise InputError(f"{self.path} has more than {BAG_NUMBERS:,} numbers: split the bag")
+
+    def _message(self, topic: _Topic, data: bytes, what: str) -> Any:
+        if len(data) > MESSAGE_BYTES:
             raise InputError(
-                f"{self.path} has more than {BAG_NUMBERS:,} numbers: split the bag, or record "
-                "fewer topics"
+                f"{what} has more than {MESSAGE_BYTES:,} bytes: leave it out with "
+                f"--ignore '{topic.name}*'"
             )
-
-    def _check_name(self, name: str) -> None:
-        if len(name) > CELL_BYTES or not name.isprintable():
-            raise InputError(
-                f"{self.path}: {shown(name)} is no name: it may have {CELL_BYTES:,} letters"
-            )
-        if len(self.series) >= COLUMNS:
-            raise InputError(f"{self.path} has more than {COLUMNS:,} series: record fewer topics")
+        with tried(f"reading {what}"):
+            return self.store.deserialize_cdr(data, topic.kind)
 
 
-def _fields(kind: str, definition: str) -> dict[str, list[str]]:
-    """Types and names of the fields of a definition, by the message that they are of."""
-    found = {}
+def _check_name(path: Path, name: str, before: int, what: str) -> None:
+    """Refuse a name that cannot be shown, or that is one more than there may be."""
+    if len(name) > CELL_BYTES or not name.isprintable():
+        raise InputError(f"{path}: {shown(name)} is no name: it may have {CELL_BYTES:,} letters")
+    if before >= COLUMNS:
+        raise InputError(f"{path} has more than {COLUMNS:,} {what}: record fewer topics")
+
+
+def _fields(kind: str, definition: str) -> Iterator[tuple[str, list[str]]]:
+    """Messages of a definition, and types and names of the fields of each."""
     for section in re.split(r"^=+$", definition, flags=re.MULTILINE):
         lines = [line.partition("#")[0].split() for line in section.splitlines()]
         lines = [line for line in lines if line]
         if lines and lines[0][0] == "MSG:":
             kind, lines = lines[0][-1], lines[1:]
-        found[kind.rpartition("/")[2]] = [
-            " ".join([line[0].rpartition("/")[2], *line[1:2]]) for line in lines
-        ]
-    return found
+        fields = [" ".join([line[0].rpartition("/")[2], *line[1:2]]) for line in lines]
+        yield kind.rpartition("/")[2], fields
 
 
 # Files of a bag.
 
 _ZSTD = b"\x28\xb5\x2f\xfd"  # what is packed so begins with, and no message
-_Messages = Generator[tuple[_Topic, int, bytes], None, None]
+_PACKED = {"lz4": ["lz4.frame"], "zstd": ["compression.zstd", "backports.zstd", "zstandard"]}
+_Messages = Generator[tuple[_Topic, Any, bytes], None, None]
 
 
 def _messages(path: Path, topics: dict[_Topic, None]) -> _Messages:
     """Messages of known kinds: topic, time of reception (ns) and data; all topics become known."""
-    with tempfile.TemporaryDirectory(prefix="giajax-", ignore_cleanup_errors=True) as folder:
-        for part in _files(path) if path.is_dir() else [path]:
-            with tried(f"reading {part}"):
-                with opened(part) as file:
-                    unpacking = _Unpacking(part, file.seek(0, io.SEEK_END))
-                    file.seek(0)
-                    name = part.name.removesuffix(".zstd")
-                    if name != part.name:
-                        part = Path(folder, name)
-                        unpacking.to_file(file, part)
-                read = _database if name.lower().endswith(".db3") else _mcap
-                for topic, received, data in read(part, topics, unpacking):
-                    if not (type(received) is int and 0 <= received < _MOMENTS):
-                        raise InputError(
-                            f"{path}: a message of {topic.name} was received at {shown(received)}: "
-                            "it must be ns since 1970, so correct it"
-                        )
-                    packed = data[: len(_ZSTD)] == _ZSTD
-                    yield topic, received, unpacking.unpacked(data, "zstd") if packed else data
+    for part in _files(path) if path.is_dir() else [path]:
+        with _reading(part), contextlib.ExitStack() as stack:
+            file = stack.enter_context(opened(part))
+            unpacking = _Unpacking(part, file.seek(0, io.SEEK_END))
+            file.seek(0)
+            name = part.name.removesuffix(".zstd")
+            if name != part.name:
+                folder = tempfile.TemporaryDirectory(prefix="giajax-", ignore_cleanup_errors=True)
+                part = Path(stack.enter_context(folder), name)
+                unpacking.to_file(file, part)
+            read = _database if name.lower().endswith(".db3") else _mcap
+            for topic, received, data in read(part, topics, unpacking):
+                packed = data[: len(_ZSTD)] == _ZSTD
+                yield topic, received, unpacking.unpacked(data, "zstd") if packed else data
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """A file that is read: what goes wrong is one sentence."""
+    try:
+        with tried(f"reading {path}"):
+            yield
+    except InputError as error:
+        cause = error.__cause__
+        if isinstance(cause, KeyError):
+            says = f"has records of {cause}, which is no channel or schema of it: copy it again"
+        elif getattr(cause, "errno", None) == errno.ENOSPC:
+            says = f"is not unpacked, no space in {tempfile.gettempdir()}: set TMPDIR"
+        elif getattr(cause, "sqlite_errorname", "") == "SQLITE_INTERRUPT":
+            says = "takes much longer to read than its size says: record it again"
+        else:
+            raise
+        raise InputError(f"{path} {says}") from None
 
 
 _LISTED = re.compile(r"^ *relative_file_paths: *\n((?: *- .*(?:\n|\Z))+)", re.MULTILINE)
@@ -400,21 +449,18 @@ class _Unpacking:
             )
 
     def _opened(self, file: BinaryIO, form: str) -> Any:
-        if form == "lz4":
-            return importlib.import_module("lz4.frame").open(file, "rb")
-        if form != "zstd":
-            raise InputError(
-                f"{self._path} is packed by {shown(form)}: it must be zstd or lz4, or not packed"
-            )
-        for name in ("compression.zstd", "backports.zstd"):
+        for name in _PACKED.get(form, ()):
             with contextlib.suppress(ImportError):
                 return importlib.import_module(name).open(file, "rb")
-        return importlib.import_module("zstandard").open(file, "rb")
+        raise InputError(
+            f"{self._path} is packed by {shown(form)}: it must be zstd or lz4, or not packed"
+        )
 
 
 # MCAP: https://mcap.dev/spec. Records are read one after the other, and what a summary says of
 # where they are is not.
 
+_Records = Iterator[tuple[int, io.BytesIO]]  # their codes and contents
 _MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0B, 0x0F
 _READ = (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END)
@@ -433,13 +479,8 @@ def _mcap(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Mes
         if file.read(len(_MAGIC)) != _MAGIC or last != _MAGIC or end < 2 * len(_MAGIC):
             raise InputError(f"{path} is no whole MCAP file: copy it again, or use mcap recover")
         for code, record in _unchunked(path, file, end, unpacking):
-            if code == _STATISTICS:
-                if (said := _number(record, 8)) != count:
-                    raise InputError(
-                        f"{path} says that it has {said:,} messages, but has {count:,}: copy it "
-                        "again, or use mcap recover"
-                    )
-                continue
+            if code == _STATISTICS and (said := _number(record, 8)) != count:
+                raise InputError(f"{path} has {count:,} messages, but says {said:,}: copy it again")
             number = _number(record, 2)
             if code == _SCHEMA:
                 kind, form = _text(record), _text(record)
@@ -448,12 +489,9 @@ def _mcap(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Mes
                 kind, definition = schemas[_number(record, 2)]
                 topic = _Topic(_text(record), kind, _text(record), definition)
                 if channels.setdefault(number, topic) != topic:  # after the data all are repeated
-                    raise InputError(
-                        f"{path} calls one topic {shown(channels[number].name)} and "
-                        f"{shown(topic.name)}, or has two kinds of it: copy it again"
-                    )
+                    raise InputError(f"{path} has channel {number} for two topics: copy it again")
                 _know(path, topic, topics)
-            else:
+            elif code == _MESSAGE:
                 count += 1
                 topic = channels[number]
                 if topic.kind in _MESSAGES:
@@ -462,9 +500,7 @@ def _mcap(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Mes
                     yield topic, received, record.read()
 
 
-def _unchunked(
-    path: Path, file: BinaryIO, end: int, unpacking: _Unpacking
-) -> Iterator[tuple[int, BinaryIO]]:
+def _unchunked(path: Path, file: BinaryIO, end: int, unpacking: _Unpacking) -> _Records:
     """The records that matter, also those within chunks; after the data, what was counted."""
     data_ended = False
     for code, record in _records(path, file, end):
@@ -477,14 +513,21 @@ def _unchunked(
             for inner, each in _records(path, io.BytesIO(data), len(data)):
                 if inner in (_SCHEMA, _CHANNEL, _MESSAGE):
                     yield inner, each
-        elif code == _DATA_END:
-            data_ended = True
-        elif code not in (_CHUNK, _MESSAGE) or not data_ended:
+        elif code == _DATA_END and not data_ended:
+            data_ended, checksum, after = True, _number(record, 4), file.tell()
+            found, left = 0, after - 9 - record.getbuffer().nbytes if checksum else 0
+            file.seek(0)
+            while block := file.read(min(left, 1 << 20)):
+                found, left = zlib.crc32(block, found), left - len(block)
+            if found != checksum:
+                raise InputError(f"{path} has damaged data: copy it again")
+            file.seek(after)
+        elif code not in (_CHUNK, _MESSAGE, _DATA_END) or not data_ended:
             yield code, record
 
 
-def _records(path: Path, file: BinaryIO, end: int) -> Iterator[tuple[int, BinaryIO]]:
-    """The codes and contents of records, but for those that hold no messages."""
+def _records(path: Path, file: BinaryIO, end: int) -> _Records:
+    """Records, but for those that hold no messages."""
     while (at := file.tell()) < end:
         code, size = _number(file, 1), _number(file, 8)
         if code == 0 or size > end - at - 9 or (code in _READ and size > CHUNK_BYTES):
@@ -515,15 +558,10 @@ def _text(file: BinaryIO) -> str:
 
 def _know(path: Path, topic: _Topic, topics: dict[_Topic, None]) -> None:
     """Have a topic among those that are known."""
-    topics[topic] = None
-    for name in (topic.name, topic.kind):
-        if len(name) > CELL_BYTES or not name.isprintable():
-            raise InputError(
-                f"{path}: {shown(name)} is no name of a topic or of its kind: it must have "
-                f"{CELL_BYTES:,} letters at most"
-            )
-    if len(topics) > COLUMNS:
-        raise InputError(f"{path} has more than {COLUMNS:,} topics: record fewer")
+    if topic not in topics:
+        for name in (topic.name, topic.kind):
+            _check_name(path, name, len(topics), "topics")
+        topics[topic] = None
 
 
 # SQLite, whose tables may be programs, and whose pages may be in each other.
@@ -540,52 +578,43 @@ def _database(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> 
                 f"{path} is being written, or was not closed ({log.name} is there): stop the "
                 "recording, or open and close the file by sqlite3"
             )
-    left = [10 + _STEPS_A_BYTE * unpacking.size // _STEPS]
-
-    def tick() -> bool:
-        left[0] -= 1
-        return left[0] < 0
-
+    steps = iter(range(10 + _STEPS_A_BYTE * unpacking.size // _STEPS))
     uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
     with contextlib.closing(sqlite3.connect(uri, uri=True)) as base:
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, CHUNK_BYTES)
-        base.set_progress_handler(tick, _STEPS)
+        base.set_progress_handler(lambda: next(steps, None) is None, _STEPS)
         base.execute("PRAGMA trusted_schema = OFF")
         base.execute("PRAGMA ignore_check_constraints = ON")  # which are programs, too
-        for table in ("topics", "messages"):
-            query = "SELECT type, rootpage > 0 FROM sqlite_master WHERE name = ?"
+        definitions = dict[str, str]()
+        for table in ("topics", "messages", "message_definitions"):
+            query = "SELECT type, rootpage > 0 FROM sqlite_master WHERE name = ? COLLATE NOCASE"
+            found = base.execute(query, [table]).fetchall()
+            if not found and table == "message_definitions":  # of ROS 2 before 2023
+                continue
             hidden = base.execute(f"SELECT max(hidden) FROM pragma_table_xinfo('{table}')")
-            if base.execute(query, [table]).fetchall() != [("table", 1)] or hidden.fetchone()[0]:
+            if found != [("table", 1)] or hidden.fetchone()[0]:
                 raise InputError(f"{path} has no plain table {table}: give a bag of ROS 2")
             if (said := base.execute(f"PRAGMA quick_check({table})").fetchone()[0]) != "ok":
                 raise InputError(f"{path} is damaged ({shown(said)}): copy it again")
-        definitions = dict[str, str]()
-        if base.execute(
-            "SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'"
-        ).fetchone():
-            query = (
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-            )
-            for kind, form, text in base.execute(query):
-                if kind in _MESSAGES and form == "ros2msg":
-                    definitions[kind] = str(text)
-        numbers = {}
-        for number, *words in base.execute(
-            "SELECT id, name, type, serialization_format FROM topics"
-        ):
-            if type(number) is not int or not all(isinstance(word, str) for word in words):
-                raise InputError(f"{path} has a topic without a name: give a bag of ROS 2")
-            name, kind, form = words
-            numbers[number] = _Topic(name, kind, form, definitions.get(kind, ""))
+            if table == "message_definitions":
+                query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+                for kind, text in base.execute(f"{query} WHERE encoding = 'ros2msg'"):
+                    if kind in _MESSAGES and definitions.setdefault(kind, str(text)) != str(text):
+                        raise InputError(f"{path} has two definitions of {kind}: copy it again")
+        numbers: dict[int, _Topic] = {}
+        query = "SELECT id, name, type, serialization_format FROM topics"
+        for number, *words in base.execute(query):
+            named = type(number) is int and all(isinstance(word, str) for word in words)
+            if not named or number in numbers:
+                raise InputError(f"{path} has a topic twice, or without a name: copy it again")
+            numbers[number] = _Topic(words[0], words[1], words[2], definitions.get(words[1], ""))
             _know(path, numbers[number], topics)
         query = "SELECT count(*) FROM messages WHERE topic_id NOT IN (SELECT id FROM topics)"
         if lost := base.execute(query).fetchone()[0]:
             raise InputError(f"{path} has {lost:,} messages of no topic: copy it again")
         known = [str(number) for number, topic in numbers.items() if topic.kind in _MESSAGES]
-        query = (
-            f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join(known)})"
-        )
-        for number, received, data in base.execute(query):
+        query = "SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN"
+        for number, received, data in base.execute(f"{query} ({','.join(known)})"):
             if not isinstance(data, bytes):
                 raise InputError(f"{path} has a message that is no data: copy it again")
             yield numbers[number], received, data

@@ -8,8 +8,10 @@ RUN_BYTES = 1 << 30  # size of a `.csv` or `.parquet` file
 # Size of a `.parquet` file when it is unpacked: 8 bytes a number, 64 a text, and its pages.
 PARQUET_BYTES = 1 << 28
 PARQUET_FOOTER_BYTES = 1 << 22  # size of what a `.parquet` file says of itself
-BAG_NUMBERS = 1 << 24  # numbers in a bag, and in the table that it becomes
-CHUNK_BYTES = 1 << 27  # size of a message, and of what an MCAP file packs at once
+# Numbers in a bag, of which the times of a message are two, and in the table that it becomes.
+BAG_NUMBERS = 1 << 24
+MESSAGE_BYTES = 1 << 22  # size of a message that is read, which takes a dozen times that as objects
+CHUNK_BYTES = 1 << 27  # size of any other, and of what an MCAP file packs at once
 UNPACKED_TIMES, UNPACKED_BYTES = (
     100,
     1 << 24,
