@@ -21,8 +21,7 @@ class HardeningJoint(AbstractJointLaw):
     slack: jax.Array = parameter(0.1, unit="rad", lower=0, upper=1, doc="angle where it is taut")
 
     def beyond(self, at):
-        beyond = jnp.abs(at.angles) - self.slack
-        return jnp.where(beyond > 0, beyond, 0)
+        return jnp.maximum(jnp.abs(at.angles) - self.slack, 0)
 
     def torque(self, at):
         pull = self.strength * self.beyond(at) ** 2
