@@ -64,7 +64,7 @@ def test_decisions_on_the_way_are_a_log_known_before(kind):
     expected = simulate(arm, command, TIMES, wind=wind, solver="springs5", rtol=1e-9, atol=1e-9)
     errors = [
         np.abs(stepped(Stepper(arm, INTERVAL, steps), commands, wind)[1] - expected.angles).max()
-        for steps in (1, 8)
+        for steps in (1, 16)
     ]
     # What sticks or slides, or touches, begins and ends within steps.
     coarse, fine = {"ground": (1e-2, 1e-4), "stops": (2e-3, 1e-4)}.get(kind, (1e-4, 1e-6))

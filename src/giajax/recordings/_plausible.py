@@ -1,6 +1,7 @@
 """What is odd in a run, and what the arm at its commands says of it: signs, labels, frames, units.
 
-Each check is a function of `_CHECKS`; what needs no commands is in `_plausible_columns`.
+Each check is a function of `_CHECKS`; what needs no commands is in `_plausible_columns`
+and `_plausible_constants`.
 """
 
 import dataclasses
@@ -22,7 +23,7 @@ from ..schema import (
     SensorsSection,
     WindSection,
 )
-from . import _plausible_columns as columns
+from . import _plausible_columns as columns, _plausible_constants as constants
 from ._channels import Channel
 from ._plausible_columns import (
     PAPER,
@@ -623,6 +624,6 @@ def _reach(look: Look) -> Iterator[Oddity]:
 
 _CHECKS: tuple[Callable[[Look], Iterator[Oddity]], ...] = (
     columns.stamps, columns.leaps, columns.takes, _reach, columns.magnitudes, _at_commands,
-    columns.constants, columns.force, columns.falls, _at_equilibrium, _before_commands,
+    constants.constants, constants.force, columns.falls, _at_equilibrium, _before_commands,
     columns.sentinels, columns.zeros, columns.wraps, columns.glitches, columns.noise_too_small,
 )  # fmt: skip

@@ -1,0 +1,154 @@
+"""What constants say by themselves, and the force of a muscle: powers of ten, and units."""
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+
+import numpy as np
+
+from ..schema import (
+    AIR,
+    AT_REST,
+    BASE,
+    BRAIDED,
+    INITIAL,
+    JOINTS,
+    LINKS,
+    PINHOLE,
+    PISTON,
+    ArmSection,
+    MuscleSection,
+)
+from ._plausible_columns import (
+    PAPER,
+    Look,
+    Oddity,
+    arm_values,
+    is_balanced,
+    number_of_links,
+    wrong_unit,
+)
+
+wrong_constant = partial(Oddity, "constants")
+
+_USUAL: Mapping[str, tuple[float, float]] = {
+    LINKS.length.path: (2e-3, 100.0),
+    LINKS.diameter.path: (1e-4, 10.0),
+    LINKS.mass.path: (1e-7, 1e4),
+    BASE.gravity.path: (1.0, 30.0),
+    AIR.density.path: (0.05, 10.0),
+    AT_REST.length.path: (5e-3, 20.0),
+    BRAIDED.diameter.path: (2e-4, 0.5),
+    BRAIDED.braid_angle.path: (np.deg2rad(3), np.deg2rad(60)),
+    BRAIDED.pressure_limit.path: (5e3, 5e6),
+    PISTON.bore.path: (1e-3, 1.0),
+    INITIAL.angle.path: (0.0, 4 * np.pi),
+    PINHOLE.focal_length.path: (30.0, 1e5),
+}
+"""What constants are within, SI; 0 is a statement of its own."""
+
+
+def constants(look: Look) -> Iterator[Oddity]:
+    """Constants off by powers of ten, each by itself and against the others."""
+    for name, of in look.run.kind.all_sections.items():
+        section = look.section(of)
+        for key, stated in section.contents().items():
+            for part in section.quantities.get(key, ()) if stated is not None else ():
+                low, high = _USUAL.get(part.path, (0.0, np.inf))
+                place = None if part.key is None else part.key.place
+                number = np.ravel(stated if place is None else stated[place])
+                sizes = np.abs(np.multiply(number, part.factor))
+                bad = (sizes > 0) & ((sizes < low) | (sizes > high))
+                # An arm may swim.
+                bad &= ~((part.path == AIR.density.path) & (sizes > 900) & (sizes < 1100))
+                if bad.any():
+                    yield wrong_constant(
+                        f"{name}.{key} is {number[bad][0]:g}, but it is usually from "
+                        f"{low / part.factor:.3g} to {high / part.factor:.3g}, in the unit of its "
+                        "key: it may be in another one",
+                        "correct it in the sidecar",
+                    )
+    if look.run.model == "arm":
+        yield from _constants_of_arm(look)
+
+
+def _constants_of_arm(look: Look) -> Iterator[Oddity]:
+    section = look.section(ArmSection)
+    known = arm_values(section)
+    links = (LINKS.length, LINKS.mass, LINKS.diameter)
+    length, mass, diameter = (known.get(each.path) for each in links)
+    floats, gravity = section.preset in PAPER, known.get(BASE.gravity.path)
+    if length is None or mass is None:
+        return
+    inertia = known.get(LINKS.inertia_transverse.path)
+    if inertia is not None and np.any(inertia > 10 * mass * length**2):
+        yield wrong_constant(
+            f"arm.link_inertia_transverse_kg_m2 is {np.max(inertia):.3g}, more than ten times "
+            f"mass times length squared ({np.max(mass * length**2):.3g})",
+            "correct the inertia, or its unit",
+        )
+    # What only yaws carries any weight.
+    axes = section.joint_axes
+    axes = ["pitch"] if axes in (None, "pitch_yaw") else axes
+    pitched = any(axis == "pitch" if isinstance(axis, str) else axis[1] for axis in axes)
+    if floats and pitched and diameter is not None and not np.any(gravity or 0.0):
+        displaced = 1.204 * np.pi / 4 * diameter**2 * length
+        ratio = float(np.max(mass / displaced))
+        if not 1e-2 < ratio < 10:
+            yield wrong_constant(
+                f"a link weighs {ratio:.3g} times the air that it displaces, but without gravity "
+                "buoyancy must balance it: the mass, or a size, may be off by a power of ten",
+                "correct link_mass_kg, link_diameter_m or link_length_m in [arm], or state "
+                "gravity_m_per_s2",
+            )
+    stiffness = known.get(JOINTS.pitch_stiffness.path)
+    hangs = section.preset == "pendulum" or is_balanced(section)
+    if gravity is not None and not hangs and pitched and stiffness is not None:
+        count = number_of_links(look) or 1
+        whole = np.broadcast_to(mass, (count,)), np.broadcast_to(length, (count,))
+        lever = np.cumsum(whole[1]) - whole[1] / 2
+        torque = float(np.max(gravity)) * float(np.sum(whole[0] * lever))
+        least = float(np.min(stiffness))
+        upright = np.any(np.abs(known.get(BASE.base_rotation.path, np.zeros(3))) > 0.5)
+        if least > 0 and torque > np.pi / 2 * least and not upright and section.muscles is None:
+            yield wrong_constant(
+                f"with gravity and without buoyancy the arm weighs {torque:.3g} N m about its "
+                f"base, which a joint of {least:.3g} N m/rad does not carry",
+                "state buoyancy = true and trim = true in [arm], or gravity_m_per_s2 = 0 where "
+                "buoyancy balances weight",
+            )
+
+
+def force(look: Look) -> Iterator[Oddity]:
+    """The force of a braided muscle against that of the ideal law, at no contraction."""
+    if look.run.model != "muscle" or "force" not in look.measured:
+        return
+    stated = look.section(MuscleSection).values()
+    needed = (BRAIDED.diameter.path, BRAIDED.braid_angle.path)
+    pressure = look.run.values.get("pressure")
+    if any(path not in stated for path in needed) or pressure is None:
+        return
+    diameter, angle = (float(stated[path]) for path in needed)
+    most = float(np.nanmax(pressure))
+    ideal = np.pi / 4 * diameter**2 * (3 / np.tan(angle) ** 2 - 1 / np.sin(angle) ** 2)
+    cells = look.measured["force"]
+    size, pressures = np.abs(cells.values), pressure[cells.rows]
+    ratio = float(np.quantile(size, 0.95)) / max(ideal * most, 1e-300)
+    # A muscle that may contract has little force, if any.
+    contraction = look.run.values.get("contraction", np.full(len(pressure), np.inf))
+    held = (contraction[cells.rows] < 0.05) & (pressures > most / 2)
+    weak = ideal > 0 and held.any() and np.median(size[held] / pressures[held]) < 1e-2 * ideal
+    if ratio > 20 or (weak and ratio < 1e-2):
+        yield wrong_unit(
+            f"the force is {ratio:.2g} times that of an ideal muscle of this size and pressure: "
+            "force, pressure or diameter may be in another unit",
+            "correct the unit in the name of the column, or the key in [muscle]",
+            ("force", "pressure"),
+        )
+    limit = stated.get(BRAIDED.pressure_limit.path)
+    if limit is not None and not 0.01 < most / float(limit) < 5:
+        yield wrong_unit(
+            f"the pressure is up to {most / float(limit):.2g} times the stated limit: one of them "
+            "may be in another unit",
+            "correct the unit in the name of the column, or pressure_limit_kPa",
+            ("pressure",),
+        )
