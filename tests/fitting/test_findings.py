@@ -10,7 +10,14 @@ from scipy.optimize import brentq, least_squares, minimize_scalar
 from test_blocks import OwnHeights, recording
 
 from giajax import Prior, Run, fit, pendulum, predict
-from giajax.fitting import Finding, Statistics, _estimates as _findings, combinations, inverse_gram
+from giajax.fitting import (
+    Finding,
+    Statistics,
+    _estimates as _findings,
+    combinations,
+    inverse_gram,
+    undetermined_groups,
+)
 from giajax.mechanics.arm import takeichi_20m
 from giajax.models import ArmModel, model_for
 from giajax.runtime.records import from_plain
@@ -46,6 +53,11 @@ def test_what_has_no_response_is_named():
     finding = coded(fit(Decay(), run(), free=free, noise_model="white"))
     assert list(finding) == ["no_response"]
     assert finding["no_response"].paths == ("idle",)
+
+
+def test_of_columns_without_any_response_each_is_a_group():
+    jacobian = np.random.default_rng(0).normal(size=(9, 4)) * [1.0, 0.0, 2.0, 0.0]
+    assert sorted(undetermined_groups(jacobian)) == [[1], [3]]
 
 
 def test_a_product_is_named_with_its_error():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from giajax.cli import main
-from giajax.recordings import Run, oddities, read_numbers, read_run, read_sidecar
+from giajax.recordings import Run, mistakes, oddities, read_numbers, read_run, read_sidecar
 from giajax.runtime.text import InputError
 
 quick = pytest.mark.quick
@@ -441,6 +441,45 @@ RIGHT = [
 @pytest.mark.parametrize("made", RIGHT, ids=lambda made: made.__name__)
 def test_a_right_recording_that_is_unusual_gets_no_note(made):
     assert found(*made()) == []
+
+
+# The list of what may be wrong with columns.
+
+
+@quick
+def test_each_mistake_of_the_list_is_undone():
+    rng = np.random.default_rng(0)
+    columns = {"time_s": np.arange(5.0), "joint01_command_deg": rng.uniform(-9, 9, 5)}
+    for point, axis in itertools.product(("link02", "link04", "tip"), "xyz"):
+        columns[f"{point}_{axis}_m"] = rng.uniform(-2, 2, 5)
+    columns["joint01_angle_deg"] = rng.uniform(-9, 9, 5)
+    run = Run.from_frame(columns, definition={"arm": {"links": 5}})
+    listed = mistakes([run])
+    assert len({each.name for each in listed}) == len(listed)
+    kinds = [each.kind for each in listed]
+    assert [kinds.count(kind) for kind in ("axes", "exchanged", "commands")] == [47, 3, 1 + 1 + 4]
+    names = {each.name for each in listed}
+    assert {"axes: y and z swapped", "axes: z reversed", "axes: x and y reversed"} <= names
+    assert {"axes: recorded x is y, y is -x", "columns: the commands in rad"} <= names
+    assert {"columns: link02 and tip exchanged", "columns: the links counted from the tip"} <= names
+    for each in listed:
+        right = each.undone(run)
+        # What was measured is what the mistake makes of the right columns, once more.
+        for name, (of, times) in each.sources.items():
+            assert np.allclose(times * right.values[of], run.values[name])
+            assert right.channels[of].name == of
+        assert len(right.values) == len(run.values)
+        assert set(right.channels) == {*right.values}
+
+
+@quick
+def test_one_coordinate_of_another_model_is_no_other_axis():
+    loop = {"input": [0.0, 1.0], "output": [0.0, 2.0]}
+    assert mistakes([Run.from_arrays([0.0, 1.0], loop)]) == []
+    values, still = {"tip_z": [0.0, 0.1]}, {"free_motion": True}
+    of_arm = mistakes([Run.from_arrays([0.0, 1.0], values, definition=still)])
+    axes = [each.name for each in of_arm if each.kind == "axes"]
+    assert axes[:3] == ["axes: z reversed", "axes: x and z swapped", "axes: y and z swapped"]
 
 
 @pytest.mark.long

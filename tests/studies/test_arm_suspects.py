@@ -65,6 +65,33 @@ def test_what_a_recording_has_more_comes_first(truth):
     assert row.estimate == pytest.approx(value, abs=max(4 * row.estimate_error, 0.3 * abs(value)))
 
 
+SWAPPED = {
+    f"{one}_{axis}": f"{other}_{axis}"
+    for one, other in (("link02", "link04"), ("link04", "link02"))
+    for axis in "xyz"
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "rename", "times"),
+    [
+        ("columns: joint01_command with the other sign", {}, {"joint01_command": -1.0}),
+        ("columns: joint03_command that of joint 2", {"joint02_command": "joint03_command"}, {}),
+        ("columns: link02 and link04 exchanged", SWAPPED, {}),
+    ],
+    ids=["sign", "joint", "labels"],
+)
+def test_a_mistake_with_columns_is_among_the_first_suspects(name, rename, times):
+    run = recorded({})
+    values = {rename.get(n, n): times.get(n, 1.0) * v for n, v in run.values.items()}
+    wrong = giajax.Run.from_arrays(run.times, values, definition=run.definition.contents())
+    found = asked(wrong)
+    assert name in [row.path for row in found.promising[:3]]
+    assert found.of(name).p_value < 1e-6
+    assert not [row for row in asked(run).rows if row.kind in ("axes", "columns")]
+
+
 @pytest.mark.slow
 def test_a_drive_that_does_not_move_is_named():
     """Of four joints with commands; a fit frees its gain alone, and finds none."""

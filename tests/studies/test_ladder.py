@@ -11,7 +11,7 @@ from giajax import InputError, fit, ladder, suspects
 from giajax.noise import by_second_differences
 from giajax.recordings import split_run
 from giajax.studies import Step, refit
-from giajax.studies._stepwise import _spare, all_axes, best_step, name_of, turned_back
+from giajax.studies._stepwise import _spare, best_step
 
 TIGHT = 4
 
@@ -123,26 +123,6 @@ def test_of_several_that_are_tried_the_lowest_bic_is_taken():
     assert [step.suspect.path for step in steps.steps[1:]] == ["late"]
     with pytest.raises(InputError, match="0 suspects cannot be tried"):
         ladder(result, recording, tries=0)
-
-
-@pytest.mark.quick
-def test_there_are_48_ways_and_each_is_undone():
-    ways = all_axes()
-    names = {name_of(way) for way in ways[1:]}
-    assert len(ways) == len(set(ways)) == 48
-    assert len(names) == 47
-    assert {"axes: y and z swapped", "axes: z reversed", "axes: x and y reversed"} <= names
-    assert "axes: recorded x is y, y is -x" in names
-
-
-def test_axes_of_a_run_are_turned_back():
-    recording = recorded()
-    way = ((1, -1), (0, 1), (2, 1))  # recorded x is -y of the model, recorded y is x
-    back = turned_back(recording, way)
-    assert np.array_equal(back.values["tip_y"], -recording.values["tip_x"])
-    assert np.array_equal(back.values["tip_x"], recording.values["tip_y"])
-    assert back.channels["tip_x"].component == 0
-    assert set(back.observations) == set(recording.observations)
 
 
 def test_rungs_among_outliers_are_compared_by_one_likelihood():

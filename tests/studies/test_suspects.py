@@ -15,7 +15,7 @@ from giajax.report import suspect_rows
 from giajax.runtime.arrays import Scalar
 from giajax.schema.parameters import parameter
 from giajax.studies import inquiry, is_disturbed, linearised, with_suspects
-from giajax.studies._axes import chi_square_of, points_row
+from giajax.studies._columns import chi_square_of, points_row
 from toy_model import Decay, run
 
 FREE = ["amplitude", "decay"]
@@ -108,11 +108,10 @@ def test_swapped_axes_are_found_from_where_the_fit_began():
     assert (first.path, first.kind) == ("axes: y and z swapped", "axes")
     assert first.p_value < 1e-6
     assert first.note == "with the values that the fit began with"
-    # Nothing of the sort where they are right, and no such test of one coordinate.
-    right = suspects(fitted(recording), recording)
-    assert [row.chi_square_drop for row in right.rows if row.kind == "axes"] == [0]
-    alone = recorded(channels=("tip_z",))
-    assert not [row for row in suspects(fitted(alone), alone).rows if row.kind == "axes"]
+    # Nothing of the sort where they are right, nor of one coordinate, which has a sign alone.
+    for right in recording, recorded(channels=("tip_z",)):
+        found = suspects(fitted(right), right)
+        assert not [row for row in found.rows if row.kind in ("axes", "columns")]
 
 
 def test_elements_of_an_array_one_by_one():

@@ -22,7 +22,16 @@ from ._configuration import resolved_ties, tied
 from ._coordinates import Layout, members
 
 SuspectKind = Literal[
-    "parameter", "factor", "group", "scatter", "switch", "axes", "points", "outliers", "prior"
+    "parameter",
+    "factor",
+    "group",
+    "scatter",
+    "switch",
+    "axes",
+    "columns",
+    "points",
+    "outliers",
+    "prior",
 ]
 
 
@@ -35,6 +44,7 @@ class Suspect:
             elements; of a switch or of axes what is changed.
         kind: "parameter"; "factor", of an array whose elements change in proportion; "group",
             several elements together; "switch", a choice of the model; "axes", of the recording;
+            "columns", their names, units and signs;
             "points" that are exchanged, lost or taken for others in it;
             "outliers", whose estimate is their share of all cells; "prior", a free parameter
             without what is known of it (`giajax explain` alone).

@@ -283,8 +283,10 @@ def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
     if jacobian.shape[1] < 2:
         return []
     norms = np.linalg.norm(jacobian, axis=0)
-    _, singular, right = np.linalg.svd(np.linalg.qr(jacobian / norms, mode="r"))
-    vectors = right[singular < COLLINEAR * singular[0]]
+    # What no channel responds to has a group of its own.
+    scaled = jacobian / np.where(norms > 0, norms, 1.0)
+    _, singular, right = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
+    vectors = right[singular <= COLLINEAR * singular[0]]
     return [[i for i, part in enumerate(vector) if abs(part) > 0.01] for vector in vectors]
 
 

@@ -5,8 +5,8 @@ and `_plausible_constants`.
 """
 
 import dataclasses
-import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from ..schema import (
 )
 from . import _plausible_columns as columns, _plausible_constants as constants
 from ._channels import Channel
+from ._mistakes import Mistake, mistakes
 from ._plausible_columns import (
     PAPER,
     TURN,
@@ -136,6 +137,12 @@ class _Point(NamedTuple):
     link: int
     component: int | None
 
+    @classmethod
+    def of(cls, channel: Channel, count: int) -> "_Point":
+        """Of an arm of so many links; the tip is a link beyond them."""
+        link = count if channel.index is None else channel.index - 1
+        return cls(channel, link, channel.component)
+
 
 @dataclasses.dataclass(frozen=True)
 class _Pose:
@@ -147,7 +154,7 @@ class _Pose:
         first: the same in the first rows, before any command changes, shape (point,).
         times: s, shape (block,).
         angles: commands, rad, shape (block, joint).
-        joints: that are commanded, from 0.
+        joints: that are commanded, from 0, by the names of their commands.
         noise: deviations of a cell, shape (point,).
         lengths, axes, base: of the links and joints, and the rotation vector of the arm.
         width: diameter of the links, m.
@@ -158,7 +165,7 @@ class _Pose:
     first: Values
     times: Values
     angles: Values
-    joints: list[int]
+    joints: dict[str, int]
     noise: Values
     lengths: Values
     axes: Values
@@ -201,9 +208,40 @@ class _Pose:
             left += np.nan_to_num((row - lagged) ** 2)
         return np.asarray(np.min(left, axis=0))
 
-    def undone(self, angles: Values, points: Sequence[_Point]) -> Values:
-        """The same where the commands, or the points, had been these."""
-        return self.squares(self.recorded, self.seen(self.places(angles), angles, points))
+    @cached_property
+    def at_commands(self) -> Values:
+        """`places` at the commands as they are."""
+        return self.places(self.angles)
+
+    def points_but_for(self, mistake: Mistake) -> tuple[list[_Point], Values]:
+        """What the columns are of without a mistake, and how many times it they are."""
+        points, times = [], []
+        for point in self.points:
+            name = point.channel.name
+            of, factor = mistake.sources.get(name, (name, 1.0))
+            points.append(point if of == name else _Point.of(Channel.named(of), len(self.lengths)))
+            times.append(factor)
+        return points, np.array(times)
+
+    def squares_but_for(self, mistake: Mistake | None) -> Values:
+        """What is left of each recorded number without a mistake."""
+        if mistake is None:
+            return self.squares(
+                self.recorded, self.seen(self.at_commands, self.angles, self.points)
+            )
+        points, times = self.points_but_for(mistake)
+        angles, places = self.angles, self.at_commands
+        if mistake.kind == "commands":
+            angles = self.angles.copy()
+            there = {n: of for n, of in mistake.sources.items() if n in self.joints}
+            angles[:, [self.joints[name] for name in there]] = 0.0
+            for name, (of, factor) in there.items():
+                joint = (Channel.named(of).index or 1) - 1
+                angles[:, joint] = self.angles[:, self.joints[name]] / factor
+            if np.max(np.abs(angles)) > TURN:
+                return np.full(len(points), np.inf)
+            places = self.places(angles)
+        return self.squares(self.recorded, times * self.seen(places, angles, points))
 
 
 def _rotation(vectors: Values) -> Values:
@@ -227,10 +265,11 @@ def _pose_of(look: Look) -> _Pose | None:
     run, section, times = look.run, look.section(ArmSection), look.times
     known, count = arm_values(section), number_of_links(look)
     commands = {
-        run.channels[name].index or 0: values
+        name: values
         for name, values in run.commands.items()
         if run.channels[name].kind == "joint_command"
     }
+    joints = {name: (run.channels[name].index or 1) - 1 for name in commands}
     initial, sensors = look.section(InitialSection), look.section(SensorsSection).values()
     heavy = np.any(known.get(BASE.gravity.path, 0.0)) and not is_balanced(section)
     heavy = heavy or any(np.any(known.get(each.path, 0.0)) for each in _IMBALANCES)
@@ -251,16 +290,12 @@ def _pose_of(look: Look) -> _Pose | None:
     lengths = np.broadcast_to(known[LINKS.length.path], (count,))
     points, columns, first, noise = [], [], [], []
     for name, cells in look.measured.items():
-        channel = cells.channel
-        place, scale = (channel.index or 0) - 1, 1.0
-        if channel.kind in ("link_position", "tip_position"):
-            place = count if channel.kind == "tip_position" else place
-            points.append(_Point(channel, place, channel.component))
-        elif channel.kind == "joint_angle" and place + 1 in commands:
-            points.append(_Point(channel, place, None))
-            scale = float(np.sum(lengths))
-        else:
+        point = _Point.of(cells.channel, count)
+        turns = cells.channel.kind == "joint_angle" and point.link in joints.values()
+        if not turns and cells.channel.kind not in ("link_position", "tip_position"):
             continue
+        points.append(point)
+        scale = float(np.sum(lengths)) if turns else 1.0
         bounds = np.searchsorted(cells.rows, edges)
         inside = np.minimum(_within(bounds), len(cells.rows) - 1)
         middle = np.median(cells.values[inside], axis=1)
@@ -271,8 +306,8 @@ def _pose_of(look: Look) -> _Pose | None:
     if not points:
         return None
     angles = np.zeros((len(rows), count))
-    for joint, values in commands.items():
-        angles[:, joint - 1] = np.median(values[rows], axis=1)
+    for name, values in commands.items():
+        angles[:, joints[name]] = np.median(values[rows], axis=1)
     if np.max(np.abs(angles)) > TURN:  # as `columns.magnitudes` says
         return None
     named = {"pitch": (0.0, -1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
@@ -284,7 +319,7 @@ def _pose_of(look: Look) -> _Pose | None:
         np.array(first),
         np.median(times[rows], axis=1),
         angles,
-        [joint - 1 for joint in commands],
+        joints,
         np.array(noise),
         lengths,
         vectors / np.linalg.norm(vectors, axis=1, keepdims=True),
@@ -294,12 +329,11 @@ def _pose_of(look: Look) -> _Pose | None:
 
 
 class _Undone(NamedTuple):
-    """A mistake that may have been made: its kind, words and remedy, and what is left without."""
+    """A mistake that may have been made: its kind, words and remedy."""
 
     code: str
     words: str
     remedy: str
-    squares: Values | float = 0.0
 
 
 def _at_commands(look: Look) -> Iterator[Oddity]:
@@ -308,11 +342,12 @@ def _at_commands(look: Look) -> Iterator[Oddity]:
     if pose is None:
         return
     names = tuple(point.channel.name for point in pose.points)
-    found = [*_in_first_rows(pose)] or [*_exchanged(pose)] or [*_farther_in(pose)]
+    asked = mistakes([look.run])
+    found = [*_in_first_rows(pose, asked)] or [*_exchanged(pose, asked)] or [*_farther_in(pose)]
     if found:
         yield from (Oddity(each.code, each.words, each.remedy, names) for each in found)
         return
-    before = pose.undone(pose.angles, pose.points)
+    before = pose.squares_but_for(None)
     noise = np.sum(~np.isnan(pose.recorded), axis=0) * pose.noise**2
     whole = np.nansum((pose.recorded - pose.first) ** 2, axis=0)
     moves = whole > _MOVES_BY * noise
@@ -320,11 +355,13 @@ def _at_commands(look: Look) -> Iterator[Oddity]:
         return
     floor = 4 * noise + 1e-3 * whole
 
-    def gain(each: _Undone) -> float:
-        return float(np.mean(np.log((each.squares + floor) / (before + floor))[moves]))
+    def gain(mistake: Mistake) -> float:
+        left = pose.squares_but_for(mistake)
+        return float(np.mean(np.log((left + floor) / (before + floor))[moves]))
 
-    ways = (_units_of, _axes_of, _commands_of)
-    gains = [(gain(each), each) for way in ways for each in way(pose)]
+    # Other numbers of links show in the shape of the arm, and other units in its reach.
+    moving = [each for each in asked if each.kind in ("angles", "axes", "commands")]
+    gains = [(gain(each), each) for each in moving]
     best = min((gained for gained, _ in gains), default=0.0)
     by_chance = np.log(len(gains) + 1) / np.log(_USUAL_WAYS) * _BLOCKS / len(pose.times)
     if best > _BETTER * max(1.0, float(np.sqrt(by_chance))):
@@ -333,23 +370,22 @@ def _at_commands(look: Look) -> Iterator[Oddity]:
     near = [each for gained, each in gains if gained < best + 0.1][:3]
     yield Oddity(
         near[0].code,
-        "what is recorded does not follow the commands, but would if "
-        + "; or ".join(dict.fromkeys(each.words for each in near)),
+        "what is recorded does not follow the commands, but would with the columns corrected: "
+        + "; or ".join(each.words for each in near),
         "; or ".join(dict.fromkeys(each.remedy for each in near)),
         names,
     )
 
 
-def _exchanged(pose: _Pose) -> Iterator[_Undone]:
+def _exchanged(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
     """Two labels that make the shape of the arm rough, which is smooth with them exchanged."""
     along = np.append(np.cumsum(pose.lengths) - pose.lengths / 2, pose.reach)
 
-    def roughness(names: Mapping[int, int]) -> tuple[float, float]:
+    def roughness(points: Sequence[_Point]) -> tuple[float, float]:
         """Squares of the bends from link to link, and those that noise makes."""
         bends = by_noise = 0.0
         for axis in range(3):
-            of = [(names.get(p.link, p.link), i) for i, p in enumerate(pose.points)
-                  if p.component == axis]  # fmt: skip
+            of = [(point.link, i) for i, point in enumerate(points) if point.component == axis]
             if len(of) < 3:
                 continue
             links, at = (list(each) for each in zip(*sorted(of), strict=True))
@@ -366,17 +402,17 @@ def _exchanged(pose: _Pose) -> Iterator[_Undone]:
             by_noise += len(shape) * float(np.sum(apart))
         return bends, by_noise
 
-    bends, by_noise = roughness({})
+    bends, by_noise = roughness(pose.points)
     if bends <= 4 * by_noise:
         return
-    links = sorted({p.link for p in pose.points if p.component is not None})
-    pairs = [(roughness(names)[0], words) for words, names in _swaps(links, len(pose.lengths))]
-    least, words = min(pairs, default=(np.inf, ""))
-    if least < _SMOOTHER * bends:
+    pairs = [each for each in asked if each.kind == "exchanged"]
+    rough = [(roughness(pose.points_but_for(each)[0])[0], each) for each in pairs]
+    least, pair = min(rough, default=(np.inf, None), key=lambda each: each[0])
+    if pair is not None and least < _SMOOTHER * bends:
         yield _Undone(
             "labels",
-            f"the recorded shape of the arm is rough, and would be smooth if {words}",
-            "exchange the names of their columns (--rename)",
+            f"the recorded shape of the arm is rough, and would be smooth with {pair.words}",
+            pair.remedy,
         )
 
 
@@ -384,7 +420,7 @@ def _farther_in(pose: _Pose) -> Iterator[_Undone]:
     """A link that turns as far as a command, though all commanded joints are farther out."""
     # From the straight arm, where a command may be another one from the first row on.
     spans = np.ptp(np.pad(pose.angles, ((1, 0), (0, 0))), axis=0)
-    turning = [joint for joint in pose.joints if spans[joint] > 0]
+    turning = [joint for joint in pose.joints.values() if spans[joint] > 0]
     for i, point in enumerate(pose.points):
         inner = turning and point.link < min(turning)
         if point.component not in (1, 2) or not inner or np.isnan(pose.first[i]):
@@ -404,7 +440,7 @@ def _farther_in(pose: _Pose) -> Iterator[_Undone]:
             return
 
 
-def _in_first_rows(pose: _Pose) -> Iterator[_Undone]:
+def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
     """Positions in the first rows against the straight arm, which rests there."""
     straight = pose.places(pose.angles[:1])[0]
     chosen = [
@@ -420,26 +456,15 @@ def _in_first_rows(pose: _Pose) -> Iterator[_Undone]:
     rest = first - here
     if not len(points) or np.max(np.abs(rest)) <= enough:
         return
-    # Another label, or axis, first: a number of the arm itself would be where it is.
-    for way in _ways_of(sorted(set(axis.tolist()))):
-        order, signs = way
-        turned = np.array([signs[c] * at[i, order[c]] for i, c in enumerate(axis)])
-        if np.max(np.abs(first - turned)) <= enough:
-            yield _Undone(
-                "signs" if order == (0, 1, 2) else "labels", *_words_of(way, axis.tolist())
-            )
-            return
-    links = sorted({p.link for p in points})
-    count = len(straight) - 1
-    for words, names in _relabelled(links, count):
-        moved = np.array([straight[names.get(p.link, p.link), p.component or 0] for p in points])
-        if np.max(np.abs(first - moved)) <= enough:
-            yield _Undone(
-                "labels",
-                f"the first rows are those of a straight arm if {words}",
-                "correct the numbers in the names of the columns (--rename)",
-            )
-            return
+    # Another axis, or label, first: a number of the arm itself would be where it is.
+    for each in asked:
+        if each.kind in ("axes", "exchanged", "numbers"):
+            others, times = pose.points_but_for(each)
+            there = [times[i] * straight[others[i].link, others[i].component or 0] for i in chosen]
+            if np.max(np.abs(first - there)) <= enough:
+                words = f"the first rows are those of a straight arm with {each.words}"
+                yield _Undone(each.code, words, each.remedy)
+                return
     origin = np.array([np.median(rest[axis == c]) if np.any(axis == c) else 0.0 for c in range(3)])
     stated = ",".join(f"{each:.3g}" for each in origin + 0.0)
     path = CAMERA.origin.path
@@ -469,115 +494,6 @@ def _in_first_rows(pose: _Pose) -> Iterator[_Undone]:
         if turned_so
         else "look at the first rows, and state [initial] if the arm starts otherwise",
     )
-
-
-def _swaps(links: Sequence[int], count: int) -> Iterator[tuple[str, dict[int, int]]]:
-    """Two recorded links whose labels are exchanged, in words."""
-    called = ["the tip" if link == count else f"link {link + 1}" for link in links]
-    for (one, a), (other, b) in itertools.combinations(zip(links, called, strict=True), 2):
-        yield f"{a} and {b} are exchanged", {one: other, other: one}
-
-
-def _relabelled(links: Sequence[int], count: int) -> Iterator[tuple[str, dict[int, int]]]:
-    """Other numbers of the recorded links, in words."""
-    yield from _swaps(links, count)
-    for by in (-1, 1):
-        if links and links[0] + by >= 0 and links[-1] + by < count:
-            yield f"the numbers of the links are off by {-by}", {k: k + by for k in links}
-    yield "the links are counted from the tip", {k: count - 1 - k for k in links if k < count}
-
-
-def _units_of(pose: _Pose) -> Iterator[_Undone]:
-    turn = float(np.rad2deg(1.0))
-    is_place = np.array([point.component is not None for point in pose.points])
-    for factor, what, wrong in ((turn, "rad", "deg"), (1 / turn, "deg", "rad")):
-        if np.max(np.abs(factor * pose.angles)) > TURN:
-            continue
-        one = f"joint{pose.joints[0] + 1:02d}_command"
-        yield _Undone(
-            "units",
-            f"the commands are in {what}",
-            f"--rename {one}_{wrong}={one}_{what}, and the others alike",
-            pose.undone(factor * pose.angles, pose.points),
-        )
-        if not is_place.all():
-            seen = pose.seen(pose.places(pose.angles), pose.angles, pose.points)
-            seen = np.where(is_place, seen, seen / factor)
-            yield _Undone(
-                "units",
-                f"the joint angles are in {what}",
-                f"end the names of the angle columns in _{what} (--rename)",
-                pose.squares(pose.recorded, seen),
-            )
-
-
-_Way = tuple[tuple[int, ...], tuple[int, ...]]
-
-
-def _ways_of(here: Sequence[int]) -> list[_Way]:
-    """Orders and signs of axes that differ in what is recorded, those that change least first."""
-    ways = itertools.product(itertools.permutations(range(3)), itertools.product((1, -1), repeat=3))
-
-    def changes(way: _Way) -> int:
-        return sum((way[0][c] != c) + (way[1][c] < 0) for c in here)
-
-    distinct = {tuple((way[0][c], way[1][c]) for c in here): way
-                for way in sorted(ways, key=lambda way: (-changes(way), way[1]))}  # fmt: skip
-    return sorted((way for way in distinct.values() if changes(way)), key=changes)
-
-
-def _words_of(way: _Way, here: Sequence[int]) -> tuple[str, str]:
-    """What a way of the axes means, and what to do."""
-    order, signs = way
-    axes = sorted({int(c) for c in here})
-    turned = [f"{'xyz'[c]} points the other way" for c in axes if signs[c] < 0]
-    moved = [f"the column {'xyz'[c]} is {'xyz'[order[c]]}" for c in axes if order[c] != c]
-    remedies = ["correct the axes in the names of the columns (--rename)"] if moved else []
-    remedies += ["change the sign of these columns"] if turned else []
-    return " and ".join([*moved, *turned]), " and ".join(remedies)
-
-
-def _axes_of(pose: _Pose) -> Iterator[_Undone]:
-    """Signs and exchanges of the axes of recorded positions."""
-    places = pose.places(pose.angles)
-    here = sorted({p.component for p in pose.points if p.component is not None})
-    for way in _ways_of(here):
-        order, signs = way
-        points = [
-            p if p.component is None else p._replace(component=order[p.component])
-            for p in pose.points
-        ]
-        sign = np.array([1 if p.component is None else signs[p.component] for p in pose.points])
-        left = pose.squares(sign * pose.recorded, pose.seen(places, pose.angles, points))
-        code = "signs" if order == (0, 1, 2) or all(order[c] == c for c in here) else "labels"
-        yield _Undone(code, *_words_of(way, here), left)
-
-
-def _commands_of(pose: _Pose) -> Iterator[_Undone]:
-    """Signs of commands, and commands of other joints."""
-    count = pose.angles.shape[1]
-    for joint in pose.joints:
-        if not np.any(pose.angles[:, joint]):
-            continue
-        name = f"joint{joint + 1:02d}_command"
-        angles = pose.angles * np.where(np.arange(count) == joint, -1.0, 1.0)
-        yield _Undone(
-            "signs",
-            f"{name} has the other sign",
-            f"change the sign of the column of {name}",
-            pose.undone(angles, pose.points),
-        )
-        for other in range(min(count, 40)):
-            if other != joint:
-                angles = pose.angles.copy()
-                angles[:, [joint, other]] = angles[:, [other, joint]]
-                new = f"joint{other + 1:02d}_command"
-                yield _Undone(
-                    "command",
-                    f"{name} is that of joint {other + 1}",
-                    f"--rename {name}_deg={new}_deg",
-                    pose.undone(angles, pose.points),
-                )
 
 
 def _reach(look: Look) -> Iterator[Oddity]:

@@ -165,7 +165,7 @@ def explained_summary(found: Explanation) -> list[str]:
             )
         sentences.append("errors are conditional on a model that these data selected")
     if found.axes:
-        sentences.append("the runs with the axes of the model are beside explain.json")
+        sentences.append("the runs with the right columns are beside explain.json")
     return sentences
 
 

@@ -28,6 +28,7 @@ from ..recordings import (
     Run,
     hold_out,
     make_folder,
+    mistakes,
     read_run,
     unique_names,
     write_files,
@@ -38,7 +39,6 @@ from ..runtime.limits import JOURNAL_BYTES
 from ..runtime.process import stop_if_asked
 from ..runtime.records import from_plain, plain_data
 from ..runtime.text import InputError, time_in_words
-from ._axes import all_axes, name_of, turned_back
 from ._explain_records import ExplainedParameter, ExplainedStep, Explanation
 from ._refit import fit_key, refit, with_fitted_state
 from ._stepwise import (
@@ -445,8 +445,9 @@ def _final(
     """
     changes = [fit.suspect.path for fit in climb.taken if fit.suspect is not None]
     seen = whole
-    for way in [way for change in changes for way in all_axes() if name_of(way) == change]:
-        seen = [turned_back(run, way) for run in seen]
+    for change in changes:
+        for mistake in [each for each in mistakes(seen) if each.name == change]:
+            seen = [mistake.undone(run) for run in seen]
     if seen is not whole and kept.folder is not None:
         # Other commands read them again.
         seen = _written(seen, kept.folder / FITS / "runs")
@@ -605,5 +606,5 @@ def _record(
         near=tuple(near),
         nearness=NEARNESS,
         parameters=tuple(parameters),
-        axes=any(step.kind == "axes" for step in steps),
+        axes=any(step.kind in ("axes", "columns") for step in steps),
     )

@@ -10,11 +10,10 @@ import numpy as np
 
 from ..fitting import FitResult, Response, Suspect, in_full, matching_runs
 from ..models import AbstractModel, capabilities
-from ..recordings import PriorEntry, Run
+from ..recordings import PriorEntry, Run, mistakes
 from ..runtime.aliases import warn_of_name
 from ..runtime.text import InputError
 from ..schema.parameters import declared, elements, left_out
-from ._axes import all_axes, name_of, turned_back
 from ._refit import refit, with_fitted_state
 from ._score import Coordinates, responses_of, white_noise
 from ._suspects import Suspects, suspects
@@ -256,7 +255,7 @@ def best_step(
 
 def is_one(model: AbstractModel, suspect: Suspect) -> bool:
     """Whether a suspect is what a fit can free as it was tested."""
-    if suspect.kind in ("switch", "axes", "prior", "scatter"):
+    if suspect.kind in ("switch", "axes", "columns", "prior", "scatter"):
         return bool(suspect.testable)
     try:
         parts = elements(_neutrally(model, suspect.path), suspect.path)
@@ -282,11 +281,11 @@ def _with(
         by = suspect.path.partition(" = ")[0]
         free = [by] if by in declared(other) else []
         return again(runs, model=other, free=free), *same
-    if suspect.kind == "axes":
-        way = next(way for way in all_axes() if name_of(way) == suspect.path)
-        turned = [turned_back(run, way) for run in runs]
+    if suspect.kind in ("axes", "columns"):
+        mistake = next(each for each in mistakes(runs) if each.name == suspect.path)
+        right = [mistake.undone(run) for run in runs]
         start = result.history[0].parameters
-        return again(turned, start=start), turned, [turned_back(run, way) for run in apart]
+        return again(right, start=start), right, [mistake.undone(run) for run in apart]
     model = _neutrally(result.model, suspect.path)
     if suspect.kind == "scatter":
         # Each element for itself, held together by how far they scatter.

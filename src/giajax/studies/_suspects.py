@@ -20,8 +20,8 @@ from ..recordings import Run
 from ..runtime.records import json_text
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import declared, get
-from ._axes import axes_row, chi_square_of, points_row
 from ._candidates import Candidate, Inquiry, inquiry, is_disturbed, not_neutral
+from ._columns import chi_square_of, mistaken_rows, points_row
 from ._score import (
     IMITATED,
     Coordinates,
@@ -365,6 +365,8 @@ def suspects(
       predictions of both.
     - **Axes of recorded positions**, in each of their 48 orders and signs, without a fit, where
       the fit ended and where it began: a fit of wrong axes may have bent its model to them.
+    - **Names and units of columns** likewise: numbers of links, mm and degrees for others, and
+      signs and joints of commands.
     - **Points** that are exchanged, show another one or stand still in some of the rows, likewise.
     - **Outliers**, which are cells that differ from both of their neighbours.
 
@@ -416,11 +418,12 @@ def suspects(
     rows += [switch_row(rest, first + i, name) for i, name in enumerate(switches)]
     ways = 0
     if not parameters_alone:
-        axes, ways = axes_row(result, runs, at, factors, cells, rest)
-        rows += [*axes, *points_row(runs, at, factors, cells, rest)]
+        mistaken, ways = mistaken_rows(result, runs, at, factors, cells, rest)
+        ways -= len(mistaken)
+        rows += [*mistaken, *points_row(runs, at, factors, cells, rest)]
         rows += outliers_row(result, at, factors, rest)
     rows += [_untestable(path, "parameter", why) for path, why in asked.impossible.items()]
-    rows, number = _corrected(rows, further=max(ways - 1, 0))
+    rows, number = _corrected(rows, further=ways)
     # What a column of random numbers takes from residuals of this size, on the scale of BIC.
     price = np.log(rest.values) * max(1.0, chi_square / rest.values)
 
@@ -464,8 +467,9 @@ def _left_over(
     given = [place for key in keys for place in tested.get(key, [])]
     basis = basis_of(rest.columns[:, given])
     left = float(np.sum((rest.residual - basis @ (basis.T @ rest.residual)) ** 2))
-    axes = [row.chi_square_drop or 0.0 for row in shown if row.kind in ("axes", "points")]
-    left = min([left, *(chi_square - drop for drop in axes)])
+    whole = ("axes", "columns", "points")
+    drops = [row.chi_square_drop or 0.0 for row in shown if row.kind in whole]
+    left = min([left, *(chi_square - drop for drop in drops)])
     return float(np.sqrt(left / max(rest.values - rest.lost - basis.shape[1], 1.0)))
 
 

@@ -108,7 +108,7 @@ def _of_the_model(result: FitResult) -> list[str]:
     said = [reason.sentence for reason in reasons]
     doubted = any(reason.code == "suspect" for reason in reasons)
     for row in [] if doubted else significant(result)[:1]:
-        of_model = row.kind not in ("axes", "points", "outliers")
+        of_model = row.kind not in ("axes", "columns", "points", "outliers")
         held = ", which the model holds or leaves out" * of_model
         said.append(f"the residuals ask most for {row.path}{held}")
     return said

@@ -1,0 +1,222 @@
+"""Mistakes that people make with columns: one list, which checks and suspects undo alike."""
+
+import dataclasses
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from ._channels import Channel
+from ._plausible_columns import Look, number_of_links
+from ._run import Run
+
+_AXES = "xyz"
+_TURN = float(np.rad2deg(1.0))
+_MOST_JOINTS = 40  # of which a command may be, each of which takes a simulation
+
+
+MistakeKind = Literal["axes", "exchanged", "numbers", "lengths", "angles", "commands"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Mistake:
+    """Columns that are not what their names say.
+
+    Attributes:
+        code: what an `Oddity` of it has: "units", "signs", "labels" or "command".
+        words: what is wrong, such as `y and z swapped`.
+        remedy: an edit or an option.
+        sources: by the name of a channel, the one that its cells are of, and how many times it.
+        kind: what is meant: the axes of positions, two points that are exchanged, the numbers of
+            links, the unit of positions or of joint angles, or commands.
+    """
+
+    code: str
+    words: str
+    remedy: str
+    sources: Mapping[str, tuple[str, float]]
+    kind: MistakeKind
+
+    @property
+    def name(self) -> str:
+        """As a suspect: `axes: y and z swapped`."""
+        return f"{'axes' if self.kind == 'axes' else 'columns'}: {self.words}"
+
+    def undone(self, run: Run) -> Run:
+        """The run as it would be without the mistake."""
+        there = {name: of for name, of in self.sources.items() if name in run.values}
+        kept = {name: values for name, values in run.values.items() if name not in there}
+        values = {of: run.values[name] / times for name, (of, times) in there.items()} | kept
+        channels = {
+            of: run.channels[name] if of == name else Channel.named(of, run.channels[name].unit)
+            for name, (of, _) in there.items()
+        }
+        others = {name: each for name, each in run.channels.items() if name not in there}
+        observed = run.observed
+        if observed is not None:
+            observed = tuple(there.get(name, (name, 1.0))[0] for name in observed)
+        return dataclasses.replace(
+            run, values=values, channels=others | channels, observed=observed
+        )
+
+
+def mistakes(runs: Sequence[Run]) -> list[Mistake]:
+    """Those that would change what these runs record, of each kind those that change least first.
+
+    Example:
+        >>> import giajax
+        >>> run = giajax.Run.from_arrays([0.0, 1.0], {"link01_z": [0.0, 0.1]})
+        >>> [each.name for each in giajax.recordings.mistakes([run])]
+        ['axes: z reversed', 'axes: x and z swapped', 'axes: y and z swapped']
+    """
+    measured = {name: run.channels[name] for run in runs for name in run.observations}
+    commands = {
+        name: run.channels[name]
+        for run in runs
+        for name, values in run.commands.items()
+        if run.channels[name].kind == "joint_command" and np.any(values)
+    }
+    links = {number_of_links(Look(run)) for run in runs if run.model == "arm"}
+    count = links.pop() if len(links) == 1 else None
+    return [
+        *_units(commands, "commands"),
+        *_units({n: c for n, c in measured.items() if c.kind == "joint_angle"}, "angles"),
+        *_lengths(measured),
+        *_axes(measured, every=count is not None),
+        *_labels(measured, count),
+        *_commands(commands, count),
+    ]
+
+
+def point_of(channel: Channel) -> str | None:
+    """The recorded point that a channel is a coordinate of: `link06`; None for no position."""
+    if channel.component is None or channel.quantity != "length":
+        return None
+    return channel.name.removesuffix(f"_{_AXES[channel.component]}")
+
+
+def _units(angles: Mapping[str, Channel], kind: MistakeKind) -> Iterator[Mistake]:
+    units = {channel.unit for channel in angles.values()}
+    for wrong, unit, times in (("deg", "rad", 1 / _TURN), ("rad", "deg", _TURN)):
+        if units == {wrong}:
+            name = next(iter(angles))
+            yield Mistake(
+                "units",
+                f"the {'joint ' * (kind == 'angles')}{kind} in {unit}",
+                f"--rename {name}_{wrong}={name}_{unit}, and the others alike",
+                {name: (name, times) for name in angles},
+                kind,
+            )
+
+
+def _lengths(measured: Mapping[str, Channel]) -> Iterator[Mistake]:
+    positions = [name for name, channel in measured.items() if point_of(channel)]
+    units = {measured[name].unit for name in positions}
+    for wrong, unit, times in (("m", "mm", 1e3), ("m", "cm", 1e2), ("mm", "m", 1e-3)):
+        if units == {wrong}:
+            name = positions[0]
+            yield Mistake(
+                "units",
+                f"the positions in {unit}",
+                f"--rename {name}_{wrong}={name}_{unit}, and the others alike",
+                {each: (each, times) for each in positions},
+                "lengths",
+            )
+
+
+def _axes(measured: Mapping[str, Channel], *, every: bool) -> Iterator[Mistake]:
+    """Orders and signs of axes that differ in what is recorded.
+
+    One that is recorded alone may be another one of an arm; who knows what another model has.
+    """
+    points = {name: point for name, each in measured.items() if (point := point_of(each))}
+    axis = {name: measured[name].component or 0 for name in points}
+    here = sorted(set(axis.values()))
+    orders = itertools.permutations(range(3) if every or len(here) > 1 else here, len(here))
+    signs = itertools.product((1, -1), repeat=len(here))
+    ways = [
+        dict(zip(here, zip(order, sign, strict=True), strict=True))
+        for order, sign in itertools.product(orders, signs)
+    ]
+
+    def changes(way: Mapping[int, tuple[int, int]]) -> tuple[int, int]:
+        moved = sum(of != c for c, (of, _) in way.items())
+        return moved + sum(sign < 0 for _, sign in way.values()), moved
+
+    # The first one is none.
+    for way in sorted(ways, key=changes)[1:]:
+        moved = [c for c, (of, _) in way.items() if of != c]
+        turned = [_AXES[c] for c, (_, sign) in way.items() if sign < 0]
+        both = {frozenset((c, way[c][0])) for c in moved}
+        if not moved:
+            words = f"{' and '.join(turned)} reversed"
+        elif len(both) == 1 and not turned:
+            words = f"{' and '.join(_AXES[c] for c in sorted(*both))} swapped"
+        else:
+            words = "recorded " + ", ".join(
+                f"{_AXES[c]} is {'-' * (sign < 0)}{_AXES[of]}"
+                for c, (of, sign) in way.items()
+                if (of, sign) != (c, 1)
+            )
+        remedies = ["correct the axes in the names of the columns (--rename)"] if moved else []
+        remedies += ["change the sign of these columns"] if turned else []
+        sources = {
+            name: (f"{point}_{_AXES[way[axis[name]][0]]}", float(way[axis[name]][1]))
+            for name, point in points.items()
+        }
+        code = "labels" if moved else "signs"
+        yield Mistake(code, words, " and ".join(remedies), sources, "axes")
+
+
+def _labels(measured: Mapping[str, Channel], count: int | None) -> Iterator[Mistake]:
+    """Other numbers of the recorded links: two exchanged, off by one, counted from the tip."""
+    places: dict[str, list[Channel]] = {}
+    for channel in measured.values():
+        if channel.kind in ("link_position", "tip_position"):
+            places.setdefault(point_of(channel) or "", []).append(channel)
+    numbers = {name: each[0].index for name, each in places.items()}
+
+    def called(words: str, names: Mapping[str, str], kind: MistakeKind = "numbers") -> Mistake:
+        sources = {
+            channel.name: (f"{other}_{_AXES[channel.component or 0]}", 1.0)
+            for name, other in names.items()
+            for channel in places[name]
+        }
+        remedy = "correct the numbers in the names of the columns (--rename)"
+        return Mistake("labels", words, remedy, sources, kind)
+
+    for one, other in itertools.combinations(sorted(places), 2):
+        yield called(f"{one} and {other} exchanged", {one: other, other: one}, "exchanged")
+    links = {name: number for name, number in numbers.items() if number is not None}
+    if not links or count is None:
+        return
+    for by in (-1, 1):
+        if min(links.values()) + by >= 1 and max(links.values()) + by <= count:
+            moved = {name: f"link{number + by:02d}" for name, number in links.items()}
+            yield called(f"the numbers of the links off by {-by}", moved)
+    from_tip = {name: f"link{count + 1 - number:02d}" for name, number in links.items()}
+    yield called("the links counted from the tip", from_tip)
+
+
+def _commands(commands: Mapping[str, Channel], count: int | None) -> Iterator[Mistake]:
+    """Signs of commands, and commands of other joints."""
+    for name, channel in commands.items():
+        yield Mistake(
+            "signs",
+            f"{name} with the other sign",
+            f"change the sign of the column of {name}",
+            {name: (name, -1.0)},
+            "commands",
+        )
+        for other in range(1, min(count or 0, _MOST_JOINTS) + 1):
+            if other == channel.index:
+                continue
+            new = f"joint{other:02d}_command"
+            yield Mistake(
+                "command",
+                f"{name} that of joint {other}",
+                f"--rename {channel.column}={new}_{channel.unit}",
+                {name: (new, 1.0)} | ({new: (name, 1.0)} if new in commands else {}),
+                "commands",
+            )
