@@ -169,6 +169,24 @@ def test_outliers_of_a_robust_fit_are_no_reason():
 
 
 @pytest.mark.quick
+def test_noise_that_a_few_cells_make_is_a_doubt_where_they_count_in_full():
+    """Of five glitches in a channel; not of noise with wide tails, nor where noise is stated."""
+
+    def glitches(times, run, channel):
+        return 2.0 * (np.arange(len(times)) % 50 == 25) * (channel == 1)
+
+    series = residuals(np.random.default_rng(4), stated=False, add=glitches)
+    verdict = judge(series, robust=False)
+    assert verdict.status == "doubtful"
+    assert [reason.code for reason in verdict.reasons] == ["outliers"]
+    assert verdict.reasons[0].channels == ("link01_z",)
+    robust = judge(series, robust=True)
+    assert "outliers" not in [reason.code for reason in robust.reasons]
+    rng = np.random.default_rng(5)
+    tails = residuals(rng, stated=False, add=lambda t, *_: 3 * SIGMA * rng.standard_t(3, len(t)))
+    assert judge(tails, robust=False).status == "adequate"
+
+
 def test_too_few_cells_are_not_judged():
     (each, *_) = residuals(np.random.default_rng(7))
     few = each.where(np.arange(len(each)) < 12)

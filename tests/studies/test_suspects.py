@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from curves import NOISE, TRUTH, OwnHeights, curve, recorded
 
-from giajax import InputError, Run, fit, replace, suspects, write_result
+from giajax import InputError, Run, fit, predict, replace, suspects, write_result
 from giajax.fitting import Response
-from giajax.report import suspect_rows
+from giajax.report import residuals_figure, summary, suspect_rows
 from giajax.runtime.arrays import Scalar
 from giajax.schema.parameters import parameter
 from giajax.studies import inquiry, is_disturbed, linearised, with_suspects
@@ -164,6 +164,23 @@ def test_outliers_are_told_with_the_loss_for_them():
     for other, options in (wild, {"loss": "student_t"}), (recorded(late=0.1), {}):
         asked = suspects(fitted(other, **options), other)
         assert all(row.kind != "outliers" for row in asked.rows)
+
+
+def test_pictures_tables_and_suspects_measure_by_one_noise():
+    """By what differs from sample to sample, where the fit took what it lacks for noise."""
+    recording = recorded(noise=False, late=0.1)
+    result = fitted(recording)
+    found, (channels,) = suspects(result, recording), [run.channels for run in result.runs]
+    sizes = {name: each.rmse / each.white for name, each in channels.items()}
+    assert max(sizes.values()) > 1.2
+    assert all(each.noise == pytest.approx(each.rmse, rel=0.05) for each in channels.values())
+    assert all(each.white == pytest.approx(NOISE, rel=0.25) for each in channels.values())
+    squares = sum(each.n * sizes[name] ** 2 for name, each in channels.items())
+    assert found.chi_square == pytest.approx(squares, rel=1e-6)
+    figure = residuals_figure(result, [recording], [predict(result.model, recording)])
+    dots = figure.axes[-1].lines[0].get_ydata()
+    assert dots == pytest.approx([sizes[name] for name in recording.observations], rel=1e-6)
+    assert "from sample to sample, up to" in summary(result)
 
 
 def test_several_runs_with_states_of_their_own():

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from ..models import AbstractModel, capabilities
-from ..noise import ChannelNoise, gains
+from ..noise import ChannelNoise, gains, white_deviation
 from ..recordings import FIT_DEFAULTS, FitKeywords, FitSettings, Run, fit_settings
 from ..runtime.plugins import sources_of
 from ..runtime.records import finite_or_none
@@ -150,7 +150,8 @@ def _run_fit(
     channels = {}
     for name, values in run.observations.items():
         channel, known, measured = run.channels[name], noise[name], ~np.isnan(values)
-        difference = (predicted[name] - values)[measured]
+        rest = predicted[name] - values
+        difference = rest[measured]
         # Geometric mean of the deviations of what the cells before do not foretell.
         fresh = gains(known, run.times, measured.astype(float))[2][measured]
         sizes = (
@@ -158,8 +159,9 @@ def _run_fit(
             known.deviation,
             known.correlated,
             np.exp(np.mean(np.log(fresh))),
+            white_deviation(rest, run.noise(name), known.deviation, in_time=run.times is not None),
         )
-        rmse, deviation, correlated, innovation = channel.from_si(sizes).tolist()
+        rmse, deviation, correlated, innovation, white = channel.from_si(sizes).tolist()
         channels[name] = ChannelFit(
             unit=channel.unit,
             rmse=rmse if np.isfinite(rmse) else None,
@@ -168,6 +170,7 @@ def _run_fit(
             correlated=correlated,
             correlation_time_s=known.time_s,
             innovation=innovation,
+            white=white,
         )
     path = None if run.path is None else str(run.path)
     return RunFit(run.name, path, run.sha256, channels, own)

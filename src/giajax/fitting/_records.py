@@ -366,6 +366,8 @@ class ChannelFit:
         correlation_time_s: of that part, s; 0 where there is none.
         innovation: deviation of what the cells before do not foretell, their geometric mean;
             None from a file without it.
+        white: deviation of white noise (`giajax.noise.white_deviation`), which suspects,
+            pictures and reports measure residuals by; None from a file without it.
     """
 
     unit: str
@@ -375,6 +377,12 @@ class ChannelFit:
     correlated: float = 0.0
     correlation_time_s: float = 0.0
     innovation: float | None = None
+    white: float | None = None
+
+    @property
+    def compared_noise(self) -> float:
+        """What residuals are measured by: `white`, or `noise` where that is not known."""
+        return self.noise if self.white is None else self.white
 
 
 def recorded_noise(channel: Channel, record: ChannelFit) -> ChannelNoise:

@@ -12,6 +12,7 @@ from ._model import (
     drawn as drawn,
     from_differences as from_differences,
     gains as gains,
+    white_deviation as white_deviation,
     whitened as whitened,
 )
 from ._restricted import (

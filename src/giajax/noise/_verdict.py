@@ -10,7 +10,7 @@ from scipy.special import chdtr, chdtrc, fdtrc, ndtr
 
 from ..runtime.arrays import Bool, Float
 from ..runtime.records import InfiniteWhereNull
-from ._model import ChannelNoise, whitened
+from ._model import ChannelNoise, by_second_differences, whitened
 
 # Of the cells, for the variance of white noise by their second differences: 18 / 35, because these
 # have the autocorrelations 1, -2/3 and 1/6.
@@ -99,7 +99,8 @@ class Reason:
 
     Attributes:
         code: "noise", "correlation", "differences", "drift", "runs" or "prediction"; "too_small" of
-            residuals far below the stated noise, "suspect" of what the fit held or left out,
+            residuals far below the stated noise, "outliers" where a few cells make that which was
+            adopted, "suspect" of what the fit held or left out,
             "prior" of what is far from what is usual, "vanished" of what should not be 0 and is,
             "unexplained" where no suspect explains it, "end" of a fit that has no optimum, "cells"
             of too few.
@@ -201,6 +202,33 @@ def beyond_stated(series: Sequence[Series]) -> Reason | None:
 def below_stated(series: Sequence[Series]) -> Reason | None:
     """Residuals far smaller than the noise that is stated: that, or a unit, is wrong."""
     return _against_stated(series, below=True)
+
+
+_HEAVY = 3.0  # times; noise with tails as wide as those of Student's t with 3 degrees has 1.7
+
+
+def by_a_few_cells(series: Sequence[Series]) -> Reason | None:
+    """Adopted noise that a few cells make, where none is stated: outliers that count in full.
+
+    The median of second differences against their mean square, in which what is smooth leaves
+    nothing.
+    """
+    unknown = [each for each in series if each.stated is None and len(each) >= _FEWEST_VALUES]
+
+    def looked_at() -> Iterator[Reason]:
+        for each in unknown:
+            usual = by_second_differences(each.residual)
+            if each.times is not None and usual and each.from_differences > _HEAVY * usual:
+                size = each.from_differences / usual
+                sentence = (
+                    f"the noise adopted for {each.channel} is that of a few cells, which make it "
+                    f"{size:.3g} times what differs from sample to sample in most: empty them, "
+                    "or fit with --loss student_t"
+                )
+                p = tail(each.white_degrees_of_freedom, DIFFERENCES * len(each), size**2)
+                yield Reason("outliers", sentence, p, size, (each.channel,))
+
+    return largest(looked_at(), len(unknown))
 
 
 def _against_stated(series: Sequence[Series], *, below: bool) -> Reason | None:
@@ -419,7 +447,8 @@ def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
     Returns:
         "adequate" where no test finds a reason against it; at most 2 % of adequate models whose
         noise is white, or has the correlation that is stated, are called inadequate. "doubtful"
-        where residuals are far smaller than the stated noise.
+        where residuals are far smaller than the stated noise, or a few cells make that which was
+        adopted.
     """
     if robust:
         series = [each.where(np.abs(each.residual) <= OUTLIER * each.adopted) for each in series]
@@ -429,5 +458,6 @@ def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
     series = [each.known_memory_removed() for each in series if len(each)]
     reasons = [reason for test in _TESTS if (reason := test(series)) is not None]
     found = Verdict.inadequate(reasons) if reasons else Verdict("adequate")
-    small = below_stated(series)
-    return found if small is None else found.doubted(small)
+    for doubt in below_stated(series), None if robust else by_a_few_cells(series):
+        found = found if doubt is None else found.doubted(doubt)
+    return found

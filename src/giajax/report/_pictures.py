@@ -21,7 +21,6 @@ from ..fitting import (
     errors_of,
     predict,
 )
-from ..noise import by_second_differences
 from ..recordings import Channel, Run, observing, unique_names
 from ..runtime.text import InputError
 from ..studies import UNEXPLAINED
@@ -455,20 +454,11 @@ def _draw_means(axes: Axes, over: np.ndarray, values: np.ndarray) -> None:
 def _weighted(run: Run, predicted: Mapping[str, np.ndarray], record: RunFit) -> np.ndarray:
     """Residuals in units of the noise, NaN where not measured; shape (sample, channel)."""
     rests = {name: values - predicted[name] for name, values in run.observations.items()}
-    columns = [rest / _noise(run, name, rest, record) for name, rest in rests.items()]
+    columns = [
+        rest / float(run.channels[name].to_si(record.channels[name].compared_noise))
+        for name, rest in rests.items()
+    ]
     return np.stack(columns, axis=-1)
-
-
-def _noise(run: Run, name: str, rest: np.ndarray, record: RunFit) -> float:
-    """The noise of a channel as the verdict sees it, SI: stated, or from sample to sample.
-
-    What was estimated from the residuals may have taken in what the model misses.
-    """
-    stated = run.noise(name)
-    if stated is not None:
-        return stated
-    adopted = float(run.channels[name].to_si(record.channels[name].noise))
-    return adopted if run.times is None else min(by_second_differences(rest) or adopted, adopted)
 
 
 def _draw_over_time(axes: Axes, run: Run, table: np.ndarray, limit: float) -> None:

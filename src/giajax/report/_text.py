@@ -41,7 +41,8 @@ def times_noise(record: RunFit, names: Iterable[str] | None = None) -> float:
     """The largest RMSE over noise of some channels, or of all; infinite where one is not finite."""
     channels = [record.channels[name] for name in (record.channels if names is None else names)]
     ratios = [
-        math.inf if c.rmse is None else c.rmse / c.noise if c.noise else 0.0 for c in channels
+        math.inf if c.rmse is None else c.rmse / c.compared_noise if c.compared_noise else 0.0
+        for c in channels
     ]
     return max(ratios, default=0.0)
 
@@ -262,13 +263,17 @@ def _rmse(value: float | None) -> str:
     return format_number(value, ".3g", "not finite")
 
 
+_WEIGHTED = 1.1  # times the white noise in the weights of a fit: worth a word
+
+
 def _residuals(run: RunFit) -> list[str]:
     """One line for a few channels, one line per unit for many."""
     channels = run.channels
     lines = []
     for unit, names in _by_unit(run).items():
         known = {name: rmse for name in names if (rmse := channels[name].rmse) is not None}
-        noise = sorted({channels[name].noise for name in names})
+        noise = sorted({channels[name].compared_noise for name in names})
+        weights = max(channels[name].noise / (channels[name].compared_noise or 1) for name in names)
         if len(names) <= 4:
             shown = ", ".join(f"{name} {_rmse(known.get(name))}" for name in names)
         elif known:
@@ -278,6 +283,8 @@ def _residuals(run: RunFit) -> list[str]:
         else:
             shown = "not finite"
         against = f"{noise[0]:.3g}" + (f" to {noise[-1]:.3g}" if noise[-1] > noise[0] else "")
+        if weights > _WEIGHTED:
+            against += f" from sample to sample, up to {weights:.3g} times that in the weights"
         counts = _counts(names, sum(channels[name].n for name in names))
         lines.append(f"{run.name}: RMSE {shown}{unit}; noise {against}; {counts}")
     return lines

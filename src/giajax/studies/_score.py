@@ -33,10 +33,10 @@ from ..noise import (
     ChannelNoise,
     Restricted,
     beyond_mixture,
-    by_second_differences,
     estimate,
     small_sample,
     tail,
+    white_deviation,
     whitened,
 )
 from ..recordings import Run
@@ -331,19 +331,14 @@ def fitted_noise(result: FitResult, runs: Sequence[Run]) -> list[dict[str, float
 def white_noise(
     result: FitResult, runs: Sequence[Run], at: Sequence[Response]
 ) -> list[dict[str, float]]:
-    """Standard deviations (SI) of white noise by channel, which no wrong model makes larger.
-
-    Those that a run states; else from second differences of the residuals, in which what is
-    smooth leaves nothing; else, where the samples do not follow each other, those of the fit.
-    """
+    """Standard deviations (SI) of white noise by channel, as `giajax.noise.white_deviation`."""
     deviations = []
     for run, response, weighted in zip(runs, at, fitted_noise(result, runs), strict=True):
         rest = response.predicted - response.observed
         each = {}
         for index, name in enumerate(response.channels):
-            stated = run.noise(name)
-            apart = None if run.times is None else by_second_differences(rest[:, index])
-            each[name] = stated or apart or weighted[name]
+            stated, in_time = run.noise(name), run.times is not None
+            each[name] = white_deviation(rest[:, index], stated, weighted[name], in_time=in_time)
         deviations.append(each)
     return deviations
 

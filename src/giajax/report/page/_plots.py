@@ -274,7 +274,7 @@ def _main_plot(
     in_order = run.drawn_over is None
     for place, channel in enumerate(channels):
         colour = colour_of(place, channel, several)
-        noise = 2 * record.channels[channel.name].noise
+        noise = 2 * record.channels[channel.name].compared_noise
         fitted = f"f{place}"
         if in_order:
             edges = [dodge(fitted, noise), dodge(fitted, -noise)]
@@ -300,7 +300,7 @@ def _residual_plot(
     channels: Sequence[Channel], source: ColumnDataSource, record: RunFit, main: Any, label: str
 ) -> Any:
     plot = new_plot(140, label, "residual", x_range=main.x_range)
-    noise = 2 * max(record.channels[channel.name].noise for channel in channels)
+    noise = 2 * max(record.channels[channel.name].compared_noise for channel in channels)
     plot.add_layout(BoxAnnotation(bottom=-noise, top=noise, fill_color=BLUE, fill_alpha=0.1))
     for place, channel in enumerate(channels):
         colour = colour_of(place, channel, len(channels) > 1)
@@ -314,6 +314,6 @@ def _note(channels: Sequence[Channel], record: RunFit) -> str:
     fits = [record.channels[channel.name] for channel in channels]
     known = [fit.rmse for fit in fits if fit.rmse is not None]
     unit = f" {fits[0].unit}" if fits[0].unit else ""
-    noise = max(fit.noise for fit in fits)
+    noise = max(fit.compared_noise for fit in fits)
     rmse = f"{max(known):.3g}{unit}" if len(known) == len(fits) else "not finite"
     return f"RMSE {rmse}, noise {noise:.3g}{unit}"

@@ -94,8 +94,9 @@ def noise_table(result: FitResult) -> Table:
     rows = []
     for run in result.runs:
         for name, c in run.channels.items():
-            size = [c.unit or "-", str(c.n), _number(c.rmse), _number(c.noise)]
-            ratio = f"{c.rmse / c.noise:.2f}" if c.rmse is not None and c.noise else "-"
+            noise = c.compared_noise
+            size = [c.unit or "-", str(c.n), _number(c.rmse), _number(noise)]
+            ratio = f"{c.rmse / noise:.2f}" if c.rmse is not None and noise else "-"
             memory = "-"
             if c.correlated:
                 memory = f"{c.correlated:.3g} over {c.correlation_time_s:.3g} s"
