@@ -157,6 +157,27 @@ def test_mass_and_forces_are_only_determined_together(run):
     assert result.parameters["air.drag_coefficient"].standard_error is None
 
 
+def test_a_clock_that_is_off_leaves_the_prediction_and_is_a_condition(run):
+    """Seconds that are 1.2 times as many: what has them in its unit makes up for it."""
+    model, slow = truth_model(), dataclasses.replace(run, times=1.2 * run.times)
+    free = ["joints.pitch_stiffness", "joints.yaw_stiffness", "joints.damping"]
+    powers = [1 / 1.2**2, 1 / 1.2**2, 1 / 1.2]
+    values = {p: by * giajax.get(model, p) for p, by in zip(free, powers, strict=True)}
+    seen, again = giajax.predict(model, run), giajax.predict(giajax.replace(model, values), slow)
+    for name in run.observations:
+        np.testing.assert_allclose(again[name], seen[name], atol=1e-4)
+
+    def said(model, runs, free):
+        return [each for each in model.conditions(free, runs) if "seconds of the stamps" in each]
+
+    (sentence,) = said(model, [run], free)
+    assert "joints.pitch_stiffness, joints.yaw_stiffness 1 / r^2 and joints.damping 1 /" in sentence
+    assert "but joints.yaw_stiffness = 5 N m/rad, held" in said(model, [run], free[::2])[0]
+    heavy = giajax.replace(model, {"gravity": 9.81})
+    for other, given in (heavy, free), (model, free[:2]), (model, ["air.drag_coefficient"]):
+        assert said(other, [run], given) == []
+
+
 def test_scaling_masses_and_forces_leaves_the_prediction(run):
     """The identity behind the condition that every result states."""
     model = truth_model()

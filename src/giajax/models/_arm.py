@@ -47,6 +47,7 @@ from ..simulation import (
 )
 from ._arm_conditions import (
     arm_variants,
+    clock_conditions,
     controller_conditions,
     preset_conditions,
     scale_conditions,
@@ -477,6 +478,7 @@ class ArmModel(AbstractModel):
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""
         sentences = scale_conditions(self, self.arm, free, runs)
+        sentences += clock_conditions(self, self.arm, free, runs)
         sentences += controller_conditions(self.arm, free, runs)
         sentences += sensor_conditions(self, free, runs)
         own = [run for run in runs if run.model == self.kind]

@@ -74,6 +74,19 @@ SCALE = (
     "point_masses.drag_area",
 )
 
+# What is in seconds, and by which power stamps that are longer change it; C_D is in none.
+IN_SECONDS = {
+    "joints.pitch_stiffness": -2,
+    "joints.yaw_stiffness": -2,
+    "joints.damping": -1,
+    "joints.friction": -2,
+    "joints.memory.strength": -2,
+    "joints.stops.strength": -2,
+    "joints.laws.hardening.cubic": -2,
+    "joints.laws.hardening.quintic": -2,
+    "joints.laws.end_stops.stiffness": -2,
+}
+
 # Force of a muscle at a pressure: a known one if they are held, and a part of that scale if not.
 # The diameter counts by its square. The controller divides by them: to commands they are nothing.
 STRENGTHS = ("muscle.effectiveness", "muscle.force_limit", "muscle.diameter")
@@ -227,6 +240,38 @@ def scale_conditions(
         density = _values(model, ["air.density"])
         sentences.append(f"point_masses.drag_area: holds for {density}")
     return sentences
+
+
+def clock_conditions(
+    model: AbstractModel, arm: Arm, free: Sequence[str], runs: Sequence[Run]
+) -> list[str]:
+    """What holds for the clock of the runs, where nothing else says how long a second is."""
+    names = {path: path.partition("[")[0] for path in free}
+    counted = {path: IN_SECONDS[name] for path, name in names.items() if name in IN_SECONDS}
+    kinds = {channel.kind for run in runs for channel in run.channels.values()}
+    present = declared(model)
+    held = [path for path in IN_SECONDS if path in present and path not in names.values()]
+    held = [path for path in held if np.any(get(model, path))]
+    known = [
+        bool(arm.gravity != 0) or arm.buoyancy is not None,
+        arm.air.wind_field is not None or any(run.winds for run in runs) or "air.wind" in present,
+        arm.air.drag_curve != "constant" or arm.air.law is not None,
+        arm.pneumatics is not None or "joint_torque" in kinds or "joints.drive_lag" in present,
+        any(name not in ("hardening", "end_stops") for name in arm.joints.laws),
+    ]
+    if set(counted.values()) != {-1, -2} or any(known):
+        return []
+    changes = [
+        f"{', '.join(path for path, each in counted.items() if each == power)} {shown}"
+        for power, shown in ((-2, "1 / r^2"), (-1, "1 / r"))
+        if power in counted.values()
+    ]
+    but = f" but {_values(model, held)}, held" if held else ""
+    return [
+        f"{', '.join(counted)}: counted in seconds of the stamps, because nothing else here has a "
+        f"second in it{but}: a clock whose seconds are r times as many makes "
+        f"{' and '.join(changes)} times as large, and no residual shows it"
+    ]
 
 
 def controller_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
