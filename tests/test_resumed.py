@@ -121,8 +121,13 @@ def test_results_are_read(name):
     before, result = record(folder / "result.json"), load_result(folder)
     again = json.loads(result.to_json())
     assert_near(again, before)
+    # Which no version then knew.
     for estimate in again["parameters"].values():
-        assert estimate.pop("noise_error") is None  # which no version then knew
+        assert estimate.pop("noise_error") is None
+    for run in again["runs"]:
+        assert {channel.pop("white") for channel in run["channels"].values()} == {None}
+    for step in again["history"]:
+        assert step.pop("part") == 1
     for key in ("parameters", "config", "runs", "cost", "history"):
         assert again[key] == before[key], key
     assert result.headline in summary(result)

@@ -94,6 +94,8 @@ ON_A_RESULT = (
 ON_A_RUN = (
     ["simulate", "--links", "2", "--duration", "1", "--step", "1=5", "--out", "a new run.csv"],
     ["import", "the run.csv", *options(), "--out", "an import.csv"],
+    ["explain", "--data", "the run.csv", *options(), *STARTS, "--max-steps", "1", "--tries", "1",
+     "--no-figures", "--out", "an explanation"],
     ["check", "the run.csv", *options()],
     ["init", "the run.csv", *options(), "--force"],
 )  # fmt: skip

@@ -7,7 +7,14 @@ import pytest
 
 from giajax import InputError
 from giajax.cli import main
-from giajax.recordings import ImportSettings, channels_of, read_foreign, read_table
+from giajax.recordings import (
+    ImportSettings,
+    channels_of,
+    filmed_beside,
+    read_beside,
+    read_foreign,
+    read_table,
+)
 
 # Tracker 6, File > Export > Data (ExportDataDialog.java): a delimiter, names, then the columns of
 # each, and a delimiter at the end of the first rows alone. A name of one track stood in front.
@@ -285,6 +292,19 @@ def test_a_table_and_a_film_beside_each_other(tmp_path, capsys):
     np.testing.assert_allclose(run.values["joint01_command"], np.deg2rad([0, 5, 10, 20]))
     np.testing.assert_allclose(run.values["tip_z"], [1.5, np.nan, 1.6, np.nan])
     np.testing.assert_allclose(run.values["tip_u"], [10.5, 11.5, np.nan, np.nan])
+
+
+@pytest.mark.quick
+def test_commands_that_are_held_stay_so_beside_a_film(tmp_path):
+    """By the sidecar of what is beside it, and of a table of several clocks."""
+    log = write(tmp_path, "time_s,joint01_command_deg,wind_x_m_per_s\n0,0,1\n0.1,10,3\n", "log.csv")
+    log.with_suffix(".toml").write_text('model = "arm"\n[command]\ninterpolation = "zoh"\n')
+    rows, values = np.array([0.05, 0.15]), {"joint02_command": np.array([1.0, 4.0])}
+    for held, second in (True, [1, 1, 1, 4]), (False, [1, 1, 2.5, 4]):
+        _, table = filmed_beside(rows, values, read_beside(log), held=held)
+        np.testing.assert_allclose(table["joint01_command"], np.deg2rad([0, 0, 10, 10]))
+        np.testing.assert_allclose(table["wind_x"], [1, 2, 3, 3])
+        np.testing.assert_allclose(table["joint02_command"], second)
 
 
 @pytest.mark.quick

@@ -240,7 +240,9 @@ def import_(
     if commands is not None:
         if times is None:
             raise InputError(f"{file} has no times: give --frame-rate, the rows a second")
-        times, values = filmed_beside(times, values, read_beside(commands))
+        beside = read_beside(commands)
+        # A command of a bag holds until the next message.
+        times, values = filmed_beside(times, values, beside, held=table.merged)
     write_run(out, times, values, digits=9, force=force)
     what = f"{count} rows of {len(values)} channels"
     if found:

@@ -131,6 +131,7 @@ class Progress:
         self._left_out = setup.nuisances
         self._left = left
         self._widths: list[int] = []
+        self._part = 1.0
         _say("compiling ...")
 
     def __call__(self, iteration: "Iteration") -> None:
@@ -143,6 +144,10 @@ class Progress:
             self._head(list(shown))
         step, taken = f"{iteration.step:.1e}", "yes" if iteration.accepted else "no"
         made = ["", ""] if iteration.number == 0 else [step, taken]
+        if iteration.part != self._part:
+            self._part = iteration.part
+            rows = f"the first {100 * self._part:.2g} %" if self._part < 1 else "all"
+            _say(f"by {rows} of the rows:")
         self._row([str(iteration.number), f"{iteration.cost:.6g}", *made, *values])
         if self._left is not None and (sentence := self._left.after(iteration.number)):
             _say(sentence)

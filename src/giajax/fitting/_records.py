@@ -123,6 +123,7 @@ class Iteration:
             parameter, in its own unit for one without bounds.
         accepted: whether the trial point became the best one.
         parameters: values of the free parameters at the best point, by path.
+        part: of the rows, from the first, that count.
     """
 
     number: int
@@ -130,6 +131,7 @@ class Iteration:
     step: float
     accepted: bool
     parameters: dict[str, float]
+    part: float = 1.0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -191,6 +191,7 @@ class FitState:
             step=float(np.max(np.abs(np.asarray(self.inner.step)), initial=0.0)),
             accepted=accepted,
             parameters=self.parameters(),
+            part=self.part,
         )
         return dataclasses.replace(self, history=(*self.history, iteration))
 

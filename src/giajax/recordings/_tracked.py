@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..runtime.text import InputError
+from ..schema import CommandSection
 from ._channels import Channel, column_table
 from ._foreign import ForeignColumn, ForeignTable, ImportSettings, channels_of
 from ._formats import DeepLabCut, Kinovea, read_foreign
+from ._read import read_sidecar
 from ._table import read_table
 
 
@@ -108,15 +110,19 @@ def filmed(
 
 
 class Beside(NamedTuple):
-    """What was recorded beside a film: its times (s), what drove the arm, and what was measured."""
+    """What was recorded beside a film: its times (s), what drove the arm, and what was measured.
+
+    Commands are `held` until the next one, or linear between two rows.
+    """
 
     times: npt.NDArray[np.float64]
     inputs: dict[str, npt.NDArray[np.float64]]
     measured: dict[str, npt.NDArray[np.float64]]
+    held: bool = False
 
 
 def read_beside(path: str | Path) -> Beside:
-    """Read a table that was recorded beside a film.
+    """Read a table that was recorded beside a film, whose sidecar may say that commands are held.
 
     Raises:
         InputError: it is not a table of known columns, or has no times.
@@ -128,7 +134,8 @@ def read_beside(path: str | Path) -> Beside:
     for name, column in inputs.items():
         if not np.all(np.isfinite(column)):
             raise InputError(f"{path}: {name} has empty cells: fill them in")
-    return Beside(table.times, inputs, measured)
+    command = read_sidecar(path).section(CommandSection)
+    return Beside(table.times, inputs, measured, held=command.interpolation == "zoh")
 
 
 def _parted(
@@ -143,24 +150,30 @@ def _parted(
 
 
 def filmed_beside(
-    times: npt.NDArray[np.float64], values: Mapping[str, npt.NDArray[np.float64]], beside: Beside
+    times: npt.NDArray[np.float64],
+    values: Mapping[str, npt.NDArray[np.float64]],
+    beside: Beside,
+    *,
+    held: bool = False,
 ) -> tuple[npt.NDArray[np.float64], dict[str, npt.NDArray[np.float64]]]:
     """The points of a film and what was recorded beside it as one table, which loses neither.
 
-    It has a row for each time (s) of either, on one clock. Between their rows inputs are linear,
-    before the first and after the last they are held; what was measured stands at its own times
-    alone.
+    It has a row for each time (s) of either, on one clock. Between their rows inputs are linear, or
+    commands `held` (those of `values`; `beside` says so of its own); before the first and after the
+    last they are held; what was measured stands at its own times alone.
 
     Raises:
         InputError: a channel of the film is there already.
     """
     rows = np.unique(np.concatenate([times, beside.times]))
     table: dict[str, npt.NDArray[np.float64]] = {}
-    for moments, inputs, measured in (beside, (times, *_parted(values))):
+    for moments, inputs, measured, steps in (beside, Beside(times, *_parted(values), held)):
         for name in (name for name in (*inputs, *measured) if name in table):
             raise InputError(f"{name} is there twice: name the cameras, or leave one out")
         for name, column in inputs.items():
-            table[name] = np.interp(rows, moments, column)
+            last = np.maximum(np.searchsorted(moments, rows, side="right") - 1, 0)
+            jumps = steps and Channel.named(name).quantity != "velocity"  # that of a wind
+            table[name] = column[last] if jumps else np.interp(rows, moments, column)
         for name, column in measured.items():
             table[name] = np.full(len(rows), np.nan)
             table[name][np.searchsorted(rows, moments)] = column
