@@ -28,6 +28,7 @@ from ._record import (
     record as record,
     write as write,
 )
+from ._right_models import RIGHT_MODELS
 from ._study import Study as Study
 from ._suspects import SUSPECTS
 from ._sweep import SWEEP, SWEEP_SPEED
@@ -38,6 +39,7 @@ _ALL = (
     KILLS,
     SUSPECTS,
     OMISSIONS,
+    RIGHT_MODELS,
     LADDER,
     LADDER_FRICTION,
     BOOTSTRAP,

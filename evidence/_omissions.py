@@ -11,7 +11,7 @@ three suspects.
 import dataclasses
 import functools
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +39,8 @@ SENSORS = {"12 of 10 mm": ("xyz", 0.01), "4 of 20 mm": ("z", 0.02)}
 OFF, FIRST = 3.0, 3
 NOTHING, MEMORY = "nothing", "nothing, and noise with a memory"
 USUAL = "nothing, by a camera and an arm as they are"
+SINGLE = "nothing, by a camera or an arm with one thing as it is"
+UNCERTAIN = ("camera.delay", "camera.clock_rate", "camera.scale", "links.diameter")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +57,8 @@ class Case:
             (rad) and stiffnesses (N m/rad).
         stamp: the true time of a time stamp, s.
         seen: what is recorded of true positions (m), shape (sample, point, 3), by the times.
-        drawn: whether clock, scale and width of each recording are drawn from what is usual.
+        drawn: how many of delay, rate, scale and width of each recording are drawn from what is
+            usual; those in turn, where not all are.
     """
 
     named: tuple[str, ...] = ()
@@ -66,7 +69,7 @@ class Case:
     torque: Callable[[float, Array, Array], Array] | None = None
     stamp: Callable[[Array], Array] = lambda times: times
     seen: Callable[[Array, Array], Array] = lambda times, points: points
-    drawn: bool = False
+    drawn: int = 0
 
 
 def _lagged(times: Array, angles: Array, lag: float = 0.4) -> Array:
@@ -122,7 +125,7 @@ _TURN = np.deg2rad(2.0)
 CASES = {
     NOTHING: Case(),
     MEMORY: Case(),
-    USUAL: Case(drawn=True),
+    USUAL: Case(drawn=len(UNCERTAIN)),
     "camera 30 ms late": Case(("camera.delay",), stamp=lambda t: t - 0.03),
     "camera 50 ms late": Case(("camera.delay",), stamp=lambda t: t - 0.05),
     "clock 0.5 % slow": Case(("camera.clock_rate",), stamp=lambda t: 1.005 * t),
@@ -191,14 +194,28 @@ CASES = {
     ),
     "2 % of cells wrong by 0.3 m": Case(("outliers",), seen=_glitching),
     "a marker that stands still": Case(("points",), seen=_still),
+    SINGLE: Case(drawn=1),
 }
+OMITTED = tuple(name for name in CASES if name != SINGLE)
 
 
-def run(size: int, seed: int, names: tuple[str, ...] = tuple(CASES)) -> Figures:
-    """Figures of `size` recordings of each case and sensor set, with random numbers of its own.
+def run(size: int, seed: int, names: Sequence[str] = OMITTED) -> Figures:
+    """Figures of `size` recordings of each case and sensor set, with random numbers of its own."""
+    return {cell: counted(found) for cell, found in each(size, seed, names, one).items()}
 
-    Two processes share them, and each fit is kept until all of this commit are done: the study
-    takes hours, and the same command goes on where it was stopped.
+
+def part(size: int, seed: int) -> Figures:
+    """Figures of a late camera alone."""
+    return run(size, seed, ("camera 30 ms late",))
+
+
+def each(
+    size: int, seed: int, names: Sequence[str], single: Callable[..., Figures]
+) -> dict[str, list[Figures]]:
+    """What `single` finds in `size` recordings of each case and sensor set.
+
+    Two processes share them, and each fit is kept until all of this commit are done: the studies
+    take hours, and the same command goes on where it was stopped.
     """
     from giajax.runtime.execution import open_executor, run_tasks
     from giajax.runtime.tasks import Task
@@ -206,7 +223,7 @@ def run(size: int, seed: int, names: tuple[str, ...] = tuple(CASES)) -> Figures:
     code = commit()
     cells = [(name, sensors) for name in names for sensors in SENSORS]
     tasks = [
-        Task(one, {"name": name, "sensors": sensors, "entropy": [seed, number], "code": code})
+        Task(single, {"name": name, "sensors": sensors, "entropy": [seed, number], "code": code})
         for number in range(size)
         for name, sensors in cells
     ]
@@ -223,14 +240,8 @@ def run(size: int, seed: int, names: tuple[str, ...] = tuple(CASES)) -> Figures:
         raise RuntimeError(f"{len(undone)} fits were not made: {undone[0].message}")
     found = [outcome.value for outcome in outcomes]
     return {
-        f"{name}; {sensors}": _figures(found[at :: len(cells)])
-        for at, (name, sensors) in enumerate(cells)
+        f"{name}; {sensors}": found[at :: len(cells)] for at, (name, sensors) in enumerate(cells)
     }
-
-
-def part(size: int, seed: int) -> Figures:
-    """Figures of a late camera alone."""
-    return run(size, seed, ("camera 30 ms late",))
 
 
 @functools.cache
@@ -278,8 +289,8 @@ def _motion(name: str) -> tuple[Array, Array, Array]:
     return fine, commanded, np.concatenate([centres[:, links], tips[:, None]], axis=1)
 
 
-def _recorded(name: str, sensors: str, entropy: list[int]) -> tuple["Run", dict[str, float]]:
-    """A recording with noise of its own, and the truth."""
+def recorded(name: str, sensors: str, entropy: list[int]) -> tuple["Run", dict[str, float]]:
+    """A recording with noise of its own, by seed and number, and the truth."""
     from scipy.interpolate import CubicSpline
 
     import giajax
@@ -287,11 +298,10 @@ def _recorded(name: str, sensors: str, entropy: list[int]) -> tuple["Run", dict[
     fine, commanded, positions = _motion(name)
     case, (axes, noise) = CASES[name], SENSORS[sensors]
     stamps = np.arange(round(END / EVERY) + 1) * EVERY
-    random, values, truth = np.random.default_rng(entropy), {}, dict(TRUTH)
-    late, rate, scale, width = 0.0, 0.0, 1.0, 1.0
-    if case.drawn:
-        late, rate = random.uniform(0, EVERY + 0.05), random.normal(0, 1e-3)
-        scale, width = random.normal(1, 0.01, size=2)
+    seed, number = entropy
+    places = [seed, list(CASES).index(name), list(SENSORS).index(sensors), number]
+    random, values, truth = np.random.default_rng(places), {}, dict(TRUTH)
+    late, rate, scale, width = _of_device(case.drawn, random, number)
     # Drag is C_D times the width: of a wider arm with as much drag, C_D is smaller.
     truth["air.drag_coefficient"] /= width
     true = np.clip((1 + rate) * case.stamp(stamps) - late, 0.0, fine[-1])
@@ -312,13 +322,25 @@ def _recorded(name: str, sensors: str, entropy: list[int]) -> tuple["Run", dict[
     return giajax.Run.from_arrays(stamps, values, name="omission", definition=model), truth
 
 
+def _of_device(drawn: int, random: np.random.Generator, number: int) -> Array:
+    """Delay (s), rate, scale and width of one recording, those drawn that are."""
+    right = np.array([0.0, 0.0, 1.0, 1.0])
+    if not drawn:
+        return right
+    late, rate = random.uniform(0, EVERY + 0.05), random.normal(0, 1e-3)
+    usual = np.array([late, rate, *random.normal(1, 0.01, size=2)])
+    return np.where(np.isin(np.arange(4), (number + np.arange(drawn)) % 4), usual, right)
+
+
 def one(name: str, sensors: str, entropy: list[int], code: str | None) -> Figures:
     """What a fit of one recording says, by a commit of giajax."""
     del code
-    case, (seed, number) = CASES[name], entropy
-    places = [seed, list(CASES).index(name), list(SENSORS).index(sensors), number]
-    recording, truth = _recorded(name, sensors, places)
-    result = _fitted(recording)
+    recording, truth = recorded(name, sensors, entropy)
+    return judged(CASES[name], fitted(recording), truth)
+
+
+def judged(case: Case, result: "FitResult", truth: Mapping[str, float]) -> Figures:
+    """What a fit says of a recording whose truth is known."""
     shares, covered = {}, 0
     for path, value in truth.items():
         found = result.parameters[path]
@@ -340,7 +362,8 @@ def one(name: str, sensors: str, entropy: list[int], code: str | None) -> Figure
     }
 
 
-def _figures(found: list[Figures]) -> Figures:
+def counted(found: Sequence[Figures]) -> Figures:
+    """How many fits of a case said what."""
     counts: Counter[str] = Counter()
     instead: Counter[str] = Counter()
     for each in found:
@@ -350,13 +373,16 @@ def _figures(found: list[Figures]) -> Figures:
         counts["off"] += off
         counts["adequate and off"] += off and each["status"] == "adequate"
         counts["named"] += each["rank"] is not None
+        counts["with suspects"] += bool(each["first"])
+        counts["accused"] += each["status"] != "adequate" or bool(each["first"])
         if each["status"] != "adequate" and each["rank"] != 1:
             instead[each["first"][0][0] if each["first"] else "nothing"] += 1
-    kinds = ("adequate", "doubtful", "inadequate", "off", "adequate and off", "named", "covered")
+    kinds = ["adequate", "doubtful", "inadequate", "off", "adequate and off", "named", "covered"]
+    kinds += ["with suspects", "accused"]
     return {"recordings": len(found), **{k: counts[k] for k in kinds}, "instead": dict(instead)}
 
 
-def _fitted(recording: "Run") -> "FitResult":
+def fitted(recording: "Run") -> "FitResult":
     """The fit, judged as `giajax fit` does."""
     import giajax
     from giajax.studies import with_suspects

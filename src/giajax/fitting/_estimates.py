@@ -30,6 +30,8 @@ _CORRELATED = 0.95  # correlations beyond this leave little more than a combinat
 _MOST_PAIRS = 10  # many pairs are one cause: the worst ones show it
 _BENT = 0.3  # a third of a standard error's square, or of its symmetry
 _AGAINST = 3.0  # standard deviations of a prior that the data have moved a parameter by
+# Of its standard errors by which a prior that the data contradict may move a parameter.
+_HELD_BACK = 0.5
 _MOSTLY = 0.5  # a prior that says more than this of a parameter
 _GONE = 1e-2  # of its default: an essential parameter that is surely less may be 0
 _ONE_SIDED = 1.645  # normal quantile of a one-sided interval of 95 %
@@ -265,7 +267,7 @@ def beyond_usual(state: FitState, statistics: Statistics) -> Reason | None:
             if statistics.labels[at] in nuisances:
                 moved[other] = 0.0
         most = int(np.argmax(moved))
-        if chance < PRIOR_LEVEL and moved[most] > 1:
+        if chance < PRIOR_LEVEL and moved[most] > _HELD_BACK:
             error = statistics.standard_errors[index]
             value, deviation = format_estimate(float(statistics.values[index]), error)
             path = statistics.labels[statistics.determined[most]]

@@ -1,0 +1,122 @@
+"""Right models: how often they are accused, and what their intervals are worth.
+
+Recordings are those of `_omissions`, by the model that is fitted. Delay, rate and scale of the
+camera and the width of the arm are exact, or all drawn from what is usual, or one of them is.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import _omissions as omissions
+from ._omissions import MEMORY, NOTHING, SINGLE, START, TRUTH, UNCERTAIN, USUAL
+from ._study import Figures, Study
+from ._suspects import differing
+
+if TYPE_CHECKING:
+    from giajax import FitResult, Run
+
+CASES = (NOTHING, MEMORY, USUAL, SINGLE)
+
+
+def run(size: int, seed: int, names: tuple[str, ...] = CASES) -> Figures:
+    """Figures of `size` recordings of each case and sensor set."""
+    found = omissions.each(size, seed, names, one)
+    return {cell: figures(of_cell) for cell, of_cell in found.items()}
+
+
+def part(size: int, seed: int) -> Figures:
+    """Figures of white noise alone."""
+    return run(size, seed, (NOTHING,))
+
+
+def one(name: str, sensors: str, entropy: list[int], code: str | None) -> Figures:
+    """What a fit of one recording says, by a commit of giajax."""
+    del code
+    recording, truth = omissions.recorded(name, sensors, entropy)
+    result = omissions.fitted(recording)
+    found = omissions.judged(omissions.CASES[name], result, truth)
+    if name == SINGLE:
+        found["wider"] = _wider(result, recording, entropy[-1])
+    return found
+
+
+def _wider(result: "FitResult", recording: "Run", number: int) -> dict[str, float]:
+    """How many times as large errors are as those of a fit that knows which one is not exact."""
+    import giajax
+
+    path = UNCERTAIN[number % len(UNCERTAIN)]
+    priors, ties = (
+        {label: of for label, of in result.config.get(key, {}).items() if label.startswith(path)}
+        for key in ("priors", "ties")
+    )
+    model: Any = giajax.model_for([recording])
+    informed = giajax.fit(
+        model,
+        recording,
+        free=[*START, *priors],
+        start=START,
+        priors=priors,
+        ties=ties,
+        nuisances=False,
+        check=False,
+    )
+    return {
+        path: float((result.parameters[path].standard_error or np.inf) / error)
+        for path in TRUTH
+        if (error := informed.parameters[path].standard_error)
+    }
+
+
+def figures(found: list[Figures]) -> Figures:
+    """Counts, and medians of how much wider errors are."""
+    counts = omissions.counted(found)
+    if wider := [each["wider"] for each in found if "wider" in each]:
+        ratios = {path: [each[path] for each in wider if path in each] for path in TRUTH}
+        medians = {path: round(float(np.median(of)), 3) for path, of in ratios.items()}
+        every = np.median([ratio for of in ratios.values() for ratio in of])
+        counts["wider"] = {**medians, "all": round(float(every), 3)}
+    return counts
+
+
+def disagreements(stored: Figures, new: Figures) -> list[str]:
+    """What would happen by chance too seldom in the counts of this study."""
+    return differing(stored, new, {"adequate": "called adequate in"})
+
+
+def table(figures: Figures) -> list[str]:
+    """A row for each kind of recording and sensor set."""
+    rows = [
+        "| recording | adequate | doubtful | accused | off by 3 errors | "
+        "values in intervals of 95 % | errors over those of a fit that knows |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, each in figures.items():
+        count, wider = each["recordings"], each.get("wider", {})
+        accused = each["with suspects" if name.startswith(MEMORY) else "accused"]
+        several = (each["adequate"], each["doubtful"], accused, each["off"])
+        cells = " | ".join(f"{cell} of {count}" for cell in several)
+        values = count * len(TRUTH)
+        covered = f"{each['covered']} of {values} ({each['covered'] / values:.1%})"
+        shown = ", ".join(f"{path} {times:.2f}" for path, times in wider.items()) or "-"
+        rows.append(f"| {name} | {cells} | {covered} | {shown} |")
+    return rows
+
+
+RIGHT_MODELS = Study(
+    name="right_models",
+    meaning=(
+        "Recordings of MuJoCo's motions of the same arm by the model that is fitted: how often it "
+        "is accused, which is a verdict that is not `adequate`, or a significant suspect. Noise "
+        "with a memory (rho 0.9) that is not stated has to be called `inadequate`, and is no "
+        "accusation unless a suspect is named for it. Where delay, rate, scale and width are drawn "
+        "from what is usual, intervals are of the total error; where one of them is, errors are "
+        "compared with those of a fit that frees that one alone, with the same prior."
+    ),
+    size=167,
+    seed=1,
+    run=run,
+    disagreements=disagreements,
+    table=table,
+    part=part,
+)
