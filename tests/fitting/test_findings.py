@@ -55,6 +55,20 @@ def test_what_has_no_response_is_named():
     assert finding["no_response"].paths == ("idle",)
 
 
+def test_a_model_that_describes_nothing_is_asked_first_whatever_passes_for_noise():
+    """No prior is advised where the noise that a fit estimates is what its model lacks."""
+    recorded = run(samples=200, state_noise=False)
+    waves = 2 * np.sin(3 * recorded.times) + np.random.default_rng(0).normal(scale=0.01, size=200)
+    wrong = replace(recorded, values={"tip_z": waves})
+    free = ["amplitude", "decay", "offset", "idle"]
+    result = fit(Decay(), wrong, free=free, max_iterations=20)
+    assert result.reduced_chi_square < 5
+    finding = coded(result)["no_response"]
+    assert finding.advice.startswith("ask first why the model does not describe the data")
+    advised = coded(fit(Decay(), recorded, free=free))["no_response"].advice
+    assert "give it a prior" in advised
+
+
 def test_of_columns_without_any_response_each_is_a_group():
     jacobian = np.random.default_rng(0).normal(size=(9, 4)) * [1.0, 0.0, 2.0, 0.0]
     assert sorted(undetermined_groups(jacobian)) == [[1], [3]]

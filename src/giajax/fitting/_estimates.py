@@ -19,7 +19,7 @@ from ._problem import predictions_by_run
 from ._records import Estimate, OwnEstimate
 from ._statistics import Statistics, combinations
 from ._steps import FitState
-from ._uncertainty import FAR_OFF, largest_correlations
+from ._uncertainty import FAR_OFF, largest_correlations, times_white_noise
 from ._weights import prior_of
 
 # What the data of a fit cannot tell, as codes with a sentence and advice.
@@ -150,11 +150,19 @@ def _without_response(state: FitState, statistics: Statistics) -> Iterator[Findi
             "no_response",
             names,
             f"no channel responds to {', '.join(names)}",
-            "leave it held, give it a prior, or record a motion that it acts on"
-            if state.residual_scale() < FAR_OFF
-            else "ask first why the model does not describe the data: see what giajax check says "
-            "of the run",
+            _unless_far_off(
+                state, "leave it held, give it a prior, or record a motion that it acts on"
+            ),
         )
+
+
+def _unless_far_off(state: FitState, advice: str) -> str:
+    """Advice for a model that describes the data, or what to ask first."""
+    if times_white_noise(state) < FAR_OFF:
+        return advice
+    return (
+        "ask first why the model does not describe the data: see what giajax check says of the run"
+    )
 
 
 def _together(state: FitState, statistics: Statistics) -> Iterator[Finding]:
@@ -190,8 +198,11 @@ def _correlated(state: FitState, statistics: Statistics) -> Iterator[Finding]:
             names,
             f"{names[0]} and {names[1]} have a correlation of {correlation[i, j]:+.3f}, so that a "
             "change of one is nearly undone by one of the other",
-            "do not read one without the other; a prior on one, or a run in which they act at "
-            "different times, tells them apart",
+            _unless_far_off(
+                state,
+                "do not read one without the other; a prior on one, or a run in which they act at "
+                "different times, tells them apart",
+            ),
         )
 
 

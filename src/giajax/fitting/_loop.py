@@ -16,7 +16,7 @@ from ._far_starts import at_first_rows, sized_by_data, with_all_rows, with_next_
 from ._linearise import BlockJacobian, minimised
 from ._records import Iteration
 from ._steps import FitState, Reason, move, reweight, step, trial
-from ._uncertainty import FAR_OFF, reestimate, responds, undetermined_groups
+from ._uncertainty import FAR_OFF, reestimate, responds, times_white_noise, undetermined_groups
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _stuck(state: FitState) -> tuple[Reason, str]:
 
 def _cannot_describe(state: FitState) -> str:
     """What to say of residuals many times the noise, which the last steps did not halve."""
-    scale, steps = state.residual_scale(), state.history[state.round_began :]
+    scale, steps = times_white_noise(state), state.history[state.round_began :]
     gained = len(steps) <= _LAST or steps[-1 - _LAST].cost > 2 * steps[-1].cost
     if gained or not scale > FAR_OFF:
         return ""

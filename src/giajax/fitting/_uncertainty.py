@@ -19,6 +19,7 @@ from ..noise import (
     robust_deviation,
     score_covariance,
     small_sample,
+    white_deviation,
 )
 from ..recordings import Run
 from ..runtime.arrays import Float
@@ -260,6 +261,19 @@ _NO_RESPONSE = 1e-6
 # Residuals of so many times the noise are of a model that does not describe the data: neither more
 # iterations nor a prior change that.
 FAR_OFF = 5.0
+
+
+def times_white_noise(state: FitState) -> float:
+    """The size of the residuals over white noise; that of the fit may hold what the model lacks."""
+    series = residual_series(state, 0.0)
+    squares = []
+    for each in series:
+        stated = None if each.stated is None else each.stated.deviation
+        in_time = each.times is not None
+        white = white_deviation(each.residual, stated, each.adopted, in_time=in_time)
+        squares.append(np.sum((each.residual / white) ** 2))
+    return float(np.sqrt(sum(squares) / max(sum(map(len, series)), 1)))
+
 
 # Column-normalised singular value below which a combination of parameters is not determined.
 COLLINEAR = 1e-6
