@@ -132,7 +132,9 @@ def test_names_load_when_they_are_used():
         "giajax.InputError\n"
         "assert 'jax' not in sys.modules\n"
         "giajax.mechanics.arm.chain\n"
-        "assert 'jax' in sys.modules"
+        "assert 'jax' in sys.modules\n"
+        "from giajax.report import first_suspects, summary\n"
+        "assert 'matplotlib' not in sys.modules"
     )
     environment = {key: value for key, value in os.environ.items() if key != "EAGER_IMPORT"}
     subprocess.run([sys.executable, "-c", code], check=True, env=environment)

@@ -6,7 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from giajax.noise import ChannelNoise, Reason, Series, Verdict, judge
+from giajax.noise import ChannelNoise, Reason, Series, Verdict, judge, white_deviation
 
 SIGMA = 0.01
 
@@ -185,6 +185,22 @@ def test_noise_that_a_few_cells_make_is_a_doubt_where_they_count_in_full():
     rng = np.random.default_rng(5)
     tails = residuals(rng, stated=False, add=lambda t, *_: 3 * SIGMA * rng.standard_t(3, len(t)))
     assert judge(tails, robust=False).status == "adequate"
+
+
+def test_white_noise_is_that_of_the_fit_unless_it_is_surely_more():
+    rng = np.random.default_rng(6)
+    plain = [SIGMA * rng.normal(size=250) for _ in range(100)]
+    adopted = [float(np.std(rest)) for rest in plain]
+    pairs = list(zip(plain, adopted, strict=True))
+    seen = [white_deviation(rest, None, size, in_time=True) for rest, size in pairs]
+    assert sum(a != b for a, b in zip(seen, adopted, strict=True)) <= 2
+    slow = plain[0] + 0.05 * np.sin(np.linspace(0, 6, 250))
+    slow[::50] += 3.0
+    slow[7] = np.nan
+    taken = float(np.nanstd(slow))
+    assert white_deviation(slow, None, taken, in_time=True) == pytest.approx(SIGMA, rel=0.2)
+    assert white_deviation(slow, None, taken, in_time=False) == taken
+    assert white_deviation(slow, 0.02, taken, in_time=True) == 0.02
 
 
 def test_too_few_cells_are_not_judged():

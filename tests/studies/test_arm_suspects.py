@@ -58,8 +58,8 @@ def test_what_a_recording_has_more_comes_first(truth):
     found = asked(recorded(truth))
     first, (path, value) = found.promising[0], next(iter(truth.items()))
     assert path in (first.path, *first.alike, *first.together)
-    # A wrong model is no reason to think that the camera took points for others.
-    assert all(each.kind != "points" for each in found.rows)
+    # A wrong model is no reason to think that points or columns were taken for others.
+    assert all(each.kind not in ("points", "columns") for each in found.rows)
     row = found.of(path)
     assert row.p_value < 1e-6
     assert row.estimate == pytest.approx(value, abs=max(4 * row.estimate_error, 0.3 * abs(value)))

@@ -8,7 +8,6 @@ from curves import curve, recorded
 from test_suspects import FREE, fitted
 
 from giajax import InputError, fit, ladder, suspects
-from giajax.noise import by_second_differences
 from giajax.recordings import split_run
 from giajax.studies import Step, refit
 from giajax.studies._stepwise import _spare, best_step
@@ -141,7 +140,8 @@ def test_rungs_among_outliers_are_compared_by_one_likelihood():
         predicted = step.result.predict(outlying)
         return [predicted[name] - wild[name] for name in predicted]
 
-    sigmas = [by_second_differences(rest) for rest in left_over(steps.steps[-1])]
+    (last,) = steps.steps[-1].result.runs
+    sigmas = [channel.white for channel in last.channels.values()]
     for step in steps.steps:
         far = np.concatenate(
             [np.abs(rest) / sigma for rest, sigma in zip(left_over(step), sigmas, strict=True)]

@@ -12,7 +12,6 @@ from ._model import (
     drawn as drawn,
     from_differences as from_differences,
     gains as gains,
-    white_deviation as white_deviation,
     whitened as whitened,
 )
 from ._restricted import (
@@ -39,4 +38,5 @@ from ._verdict import (
     largest as largest,
     satterthwaite as satterthwaite,
     tail as tail,
+    white_deviation as white_deviation,
 )

@@ -195,21 +195,6 @@ def by_second_differences(values: np.ndarray) -> float | None:
     return None if len(second) < _FEWEST_DIFFERENCES else _deviation(second)
 
 
-def white_deviation(
-    rest: np.ndarray, stated: float | None, adopted: float, *, in_time: bool
-) -> float:
-    """Deviation of white noise of a channel, which no wrong model makes larger.
-
-    It is what the run states; else that of second differences of its residuals `rest`, shape
-    (sample,), in which what is smooth leaves nothing; else, where the samples do not follow each
-    other or are too few, what the fit adopted.
-    """
-    if stated:
-        return stated
-    apart = by_second_differences(np.where(np.isfinite(rest), rest, np.nan)) if in_time else None
-    return apart or adopted
-
-
 def from_differences(values: np.ndarray) -> float:
     """Noise of a recorded channel from its second differences, before any model is known.
 

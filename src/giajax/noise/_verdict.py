@@ -231,6 +231,28 @@ def by_a_few_cells(series: Sequence[Series]) -> Reason | None:
     return largest(looked_at(), len(unknown))
 
 
+def white_deviation(
+    rest: Float[np.ndarray, " sample"], stated: float | None, adopted: float, *, in_time: bool
+) -> float:
+    """Deviation of white noise of a channel, which no wrong model makes larger.
+
+    It is what the run states; else what the fit adopted, or, where that is larger by more than
+    chance, that of second differences of the residuals `rest`, in which what is smooth leaves
+    nothing, without the few cells that are outliers.
+    """
+    if stated or not in_time:
+        return stated or adopted
+    known = np.where(np.isfinite(rest), rest, np.nan)
+    apart = by_second_differences(known)
+    if not apart:
+        return adopted
+    mean = float(np.sqrt(np.nanmean(np.diff(known, 2) ** 2) / 6))
+    apart = mean if mean < _HEAVY * apart else apart
+    ratio, count = adopted / apart, int(np.sum(~np.isnan(known)))
+    sure = ratio > SIZE and tail(count, DIFFERENCES * count, ratio**2) < LEVEL
+    return apart if sure else adopted
+
+
 def _against_stated(series: Sequence[Series], *, below: bool) -> Reason | None:
     """One side of the noise that is stated; both have the chance of one test."""
     known = [(each, each.stated.deviation) for each in series if each.stated is not None]

@@ -9,15 +9,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from ..fitting import FitResult
 from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
 from ..runtime.text import InputError
 from ..studies import StudyRecord
+
+if TYPE_CHECKING:  # Slow to import, and no table needs it.
+    from matplotlib.figure import Figure
 
 R = TypeVar("R", bound=StudyRecord)
 
@@ -69,7 +70,7 @@ class RecordView(Generic[R]):
     table: Callable[[R, FitResult, int | None], Table]
     sentences: Callable[[R, int | None], list[str]]
     section: Callable[[R, FitResult, Path], PageSection]
-    figure: Callable[[R, FitResult], Figure] | None = None
+    figure: "Callable[[R, FitResult], Figure] | None" = None
     place: int = 9
 
     def __post_init__(self) -> None:

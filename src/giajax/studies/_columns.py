@@ -25,6 +25,9 @@ from ._score import Projected, models_of_runs, weighted_rest
 _AXES = "xyz"
 
 
+_FAR_LESS = 4.0  # times: what missing physics looks like takes half of chi-square at most
+
+
 def mistaken_rows(
     result: FitResult,
     runs: Sequence[Run],
@@ -35,6 +38,8 @@ def mistaken_rows(
 ) -> tuple[list[Suspect], int]:
     """The best of other axes, and of other names and units of columns; and how many were tried.
 
+    Another name or unit has to leave far less than the columns as they are, with the same values:
+    it does, where it is right, and where physics is missing one that is wrong may leave less, too.
     Commands are tried with the values that the fit began with: a fit to wrong ones has bent its
     model to them, and each takes a simulation.
     """
@@ -52,6 +57,11 @@ def mistaken_rows(
         # The same channels each time: one program.
         predicted = functools.partial(_predicted, models, channels=sorted(names | others))
         as_they_are = predicted(begun)
+        columns = [
+            np.stack([of_run[name] for name in response.channels], axis=-1)
+            for of_run, response in zip(as_they_are, at, strict=True)
+        ]
+        most = chi_square_of(at, columns, factors) / _FAR_LESS
         for mistake in asked:
             whole = as_they_are
             if mistake.kind == "commands":
@@ -64,6 +74,8 @@ def mistaken_rows(
             ]
             other = chi_square_of(at, seen, factors)
             kind: SuspectKind = "axes" if mistake.kind == "axes" else "columns"
+            if kind == "columns" and other > most:
+                continue
             if np.isfinite(other) and other < best.get(kind, (np.inf,))[0]:
                 note = "with the values that the fit began with" if number else ""
                 best[kind] = other, mistake.name, note
