@@ -65,6 +65,10 @@ def test_a_model_that_describes_nothing_is_asked_first_whatever_passes_for_noise
     assert result.reduced_chi_square < 5
     finding = coded(result)["no_response"]
     assert finding.advice.startswith("ask first why the model does not describe the data")
+    early = fit(Decay(), wrong, free=free, max_iterations=5)
+    assert early.reason == "iterations"
+    assert "the model does not describe the data" in early.message
+    assert "allow more iterations" not in early.message
     advised = coded(fit(Decay(), recorded, free=free))["no_response"].advice
     assert "give it a prior" in advised
 

@@ -152,10 +152,14 @@ def _stuck(state: FitState) -> tuple[Reason, str]:
 
 
 def _cannot_describe(state: FitState) -> str:
-    """What to say of residuals many times the noise, which the last steps did not halve."""
-    scale, steps = times_white_noise(state), state.history[state.round_began :]
+    """What to say of residuals many times the noise, which the last steps did not halve.
+
+    Where the noise has been estimated, there has been an optimum with such residuals.
+    """
+    steps = state.history[state.round_began :]
     gained = len(steps) <= _LAST or steps[-1 - _LAST].cost > 2 * steps[-1].cost
-    if gained or not scale > FAR_OFF:
+    scale = times_white_noise(state)
+    if (gained and not state.noise.estimated) or not scale > FAR_OFF:
         return ""
     return (
         f", and the residuals are {scale:.2g} times the noise: the model does not describe the "
