@@ -270,7 +270,8 @@ def clock_conditions(
     return [
         f"{', '.join(counted)}: counted in seconds of the stamps, because nothing else here has a "
         f"second in it{but}: a clock whose seconds are r times as many makes "
-        f"{' and '.join(changes)} times as large, and no residual shows it"
+        f"{' and '.join(changes)} times as large, and no residual shows it (nor, where commands "
+        "are short steps, that of a film alone)"
     ]
 
 
