@@ -11,7 +11,7 @@ import numpy as np
 from . import _omissions as omissions
 from ._omissions import MEMORY, NOTHING, SINGLE, START, TRUTH, UNCERTAIN, USUAL
 from ._study import Figures, Study
-from ._suspects import differing
+from ._suspects import PROBABILITY, differing
 
 if TYPE_CHECKING:
     from giajax import FitResult, Run
@@ -26,8 +26,8 @@ def run(size: int, seed: int, names: tuple[str, ...] = CASES) -> Figures:
 
 
 def part(size: int, seed: int) -> Figures:
-    """Figures of white noise alone."""
-    return run(size, seed, (NOTHING,))
+    """Figures of white noise, and of a camera and an arm as they are."""
+    return run(size, seed, (NOTHING, USUAL))
 
 
 def one(name: str, sensors: str, entropy: list[int], code: str | None) -> Figures:
@@ -81,7 +81,16 @@ def figures(found: list[Figures]) -> Figures:
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """What would happen by chance too seldom in the counts of this study."""
-    return differing(stored, new, {"adequate": "called adequate in"})
+    from scipy.stats import binomtest
+
+    counts = {"adequate": "called adequate in", "with suspects": "accused by a suspect in"}
+    sentences = differing(stored, new, counts)
+    for name, each in new.items():
+        # Intervals of one fit go together: as many tests as there are recordings.
+        share, size = each["covered"] / len(TRUTH), each["recordings"]
+        if binomtest(round(share), size, 0.95).pvalue < PROBABILITY:
+            sentences.append(f"{name}: {share / size:.1%} of the values are in their intervals")
+    return sentences
 
 
 def table(figures: Figures) -> list[str]:

@@ -203,6 +203,18 @@ def test_white_noise_is_that_of_the_fit_unless_it_is_surely_more():
     assert white_deviation(slow, 0.02, taken, in_time=True) == 0.02
 
 
+def test_noise_that_was_resampled_is_not_that_of_a_few_cells():
+    """Every third cell was recorded, and what is between is on a line: no cell is a glitch."""
+    rng = np.random.default_rng(8)
+    recorded = SIGMA * rng.normal(size=401)
+    rest = np.interp(np.arange(1201) / 3, np.arange(401), recorded) + 1e-9 * rng.normal(size=1201)
+    assert 0.15 * SIGMA < white_deviation(rest, None, float(np.std(rest)), in_time=True) < SIGMA
+    gappy = np.full(4000, np.nan)
+    gappy[::3] = SIGMA * rng.normal(size=1334) + 5 * SIGMA * np.sin(np.linspace(0, 6, 1334))
+    taken = float(np.nanstd(gappy))
+    assert white_deviation(gappy, None, taken, in_time=True) == pytest.approx(SIGMA, rel=0.1)
+
+
 def test_too_few_cells_are_not_judged():
     (each, *_) = residuals(np.random.default_rng(7))
     few = each.where(np.arange(len(each)) < 12)

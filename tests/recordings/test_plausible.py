@@ -1,5 +1,6 @@
 """What `giajax check` says of recordings with a mistake that people make, and of right ones."""
 
+import dataclasses
 import functools
 import itertools
 import re
@@ -449,7 +450,7 @@ def test_a_right_recording_that_is_unusual_gets_no_note(made):
 @quick
 def test_each_mistake_of_the_list_is_undone():
     rng = np.random.default_rng(0)
-    columns = {"time_s": np.arange(5.0), "joint01_command_deg": rng.uniform(-9, 9, 5)}
+    columns = {"time_s": np.arange(5.0), "joint01_command_deg": rng.uniform(-3, 3, 5)}
     for point, axis in itertools.product(("link02", "link04", "tip"), "xyz"):
         columns[f"{point}_{axis}_m"] = rng.uniform(-2, 2, 5)
     columns["joint01_angle_deg"] = rng.uniform(-9, 9, 5)
@@ -470,6 +471,34 @@ def test_each_mistake_of_the_list_is_undone():
             assert right.channels[of].name == of
         assert len(right.values) == len(run.values)
         assert set(right.channels) == {*right.values}
+
+
+@quick
+def test_undoing_a_mistake_loses_no_column():
+    """Also where the right name is that of a column of zeros, or of one that nobody compares."""
+    values = {f"joint0{k}_command": [0.0, 0.1 * (k == 1), 0.1 * (k == 1)] for k in (1, 2, 3)}
+    values |= {"link02_z": [0.0, 0.1, 0.2], "link02_y": [3.0, 3.0, 3.0]}
+    run = Run.from_arrays([0.0, 0.5, 1.0], values, definition={"arm": {"links": 3}})
+    run = dataclasses.replace(run, observed=("link02_z",))
+    by_name = {each.name: each for each in mistakes([run])}
+    other = by_name["columns: joint01_command that of joint 2"]
+    assert other.remedy.count("--rename") == 2
+    right = other.undone(run)
+    assert set(right.values) == set(run.values)
+    assert right.values["joint02_command"][-1] == 0.1
+    assert right.values["joint01_command"][-1] == 0
+    turned = by_name["axes: y and z swapped"].undone(run)
+    assert turned.values["link02_y"][-1] == 0.2
+    assert turned.observed == ("link02_y",)
+
+
+@quick
+def test_commands_are_no_radians_that_no_joint_reaches():
+    values = {"joint01_command_deg": [0.0, 30.0, 30.0], "link01_z_m": [0.0, 0.1, 0.2]}
+    run = Run.from_frame({"time_s": [0.0, 0.5, 1.0]} | values)
+    assert "columns: the commands in rad" not in [each.name for each in mistakes([run])]
+    slow = Run.from_frame({"time_s": [0.0, 0.5, 1.0]} | values | {"joint01_command_deg": [0, 1, 2]})
+    assert "columns: the commands in rad" in [each.name for each in mistakes([slow])]
 
 
 @quick

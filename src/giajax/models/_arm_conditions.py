@@ -28,6 +28,7 @@ from ..schema import (
     BUOYANCY,
     CAMERA,
     DRIVE,
+    INITIAL,
     JOINT_MEMORY,
     LINKS,
     POINT_MASSES,
@@ -79,13 +80,16 @@ IN_SECONDS = {
     "joints.pitch_stiffness": -2,
     "joints.yaw_stiffness": -2,
     "joints.damping": -1,
-    "joints.friction": -2,
     "joints.memory.strength": -2,
     "joints.stops.strength": -2,
     "joints.laws.hardening.cubic": -2,
     "joints.laws.hardening.quintic": -2,
     "joints.laws.end_stops.stiffness": -2,
 }
+
+# Drives that lag, friction (by a rate in rad/s), and what drifts.
+_BY_THE_SECOND = ("joints.drive_lag", "joints.friction", "joints.stiffness_drift")
+_SECONDS = ("angular_velocity", "velocity", "acceleration", "force", "torque")  # of channels
 
 # Force of a muscle at a pressure: a known one if they are held, and a part of that scale if not.
 # The diameter counts by its square. The controller divides by them: to commands they are nothing.
@@ -245,33 +249,37 @@ def scale_conditions(
 def clock_conditions(
     model: AbstractModel, arm: Arm, free: Sequence[str], runs: Sequence[Run]
 ) -> list[str]:
-    """What holds for the clock of the runs, where nothing else says how long a second is."""
+    """What holds for the clock of the runs, where nothing else says how long a second is.
+
+    A value that is held, and in seconds, says it, and so does what is recorded by the second.
+    """
     names = {path: path.partition("[")[0] for path in free}
     counted = {path: IN_SECONDS[name] for path, name in names.items() if name in IN_SECONDS}
-    kinds = {channel.kind for run in runs for channel in run.channels.values()}
+    channels = [channel for run in runs for channel in run.channels.values()]
     present = declared(model)
     held = [path for path in IN_SECONDS if path in present and path not in names.values()]
-    held = [path for path in held if np.any(get(model, path))]
+    initial = [run.definition.section(InitialSection).values() for run in runs]
     known = [
         bool(arm.gravity != 0) or arm.buoyancy is not None,
         arm.air.wind_field is not None or any(run.winds for run in runs) or "air.wind" in present,
         arm.air.drag_curve != "constant" or arm.air.law is not None,
-        arm.pneumatics is not None or "joint_torque" in kinds or "joints.drive_lag" in present,
+        arm.pneumatics is not None or any(path in present for path in _BY_THE_SECOND),
+        any(channel.quantity in _SECONDS for channel in channels),
+        any(np.any(values.get(INITIAL.rate.path, 0.0)) for values in initial),
         any(name not in ("hardening", "end_stops") for name in arm.joints.laws),
+        any(np.any(get(model, path)) for path in held),
     ]
     if set(counted.values()) != {-1, -2} or any(known):
         return []
     changes = [
         f"{', '.join(path for path, each in counted.items() if each == power)} {shown}"
         for power, shown in ((-2, "1 / r^2"), (-1, "1 / r"))
-        if power in counted.values()
     ]
-    but = f" but {_values(model, held)}, held" if held else ""
     return [
         f"{', '.join(counted)}: counted in seconds of the stamps, because nothing else here has a "
-        f"second in it{but}: a clock whose seconds are r times as many makes "
-        f"{' and '.join(changes)} times as large, and no residual shows it (nor, where commands "
-        "are short steps, that of a film alone)"
+        f"second in it: a clock whose seconds are r times as many makes {' and '.join(changes)} "
+        "times as large, and no residual shows it (nor, where commands are short steps, that of a "
+        "film alone)"
     ]
 
 

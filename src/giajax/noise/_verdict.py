@@ -205,21 +205,32 @@ def below_stated(series: Sequence[Series]) -> Reason | None:
 
 
 _HEAVY = 3.0  # times; noise with tails as wide as those of Student's t with 3 degrees has 1.7
+_GLITCH, _FEW_CELLS = 6.0, 0.1  # deviations of a second difference, and of how many at most
+
+
+def _usual_differences(values: Float[np.ndarray, " sample"]) -> tuple[float, float] | None:
+    """Deviation of white noise by second differences: of most, and of all of them.
+
+    They differ where a few cells are glitches, and not where many have larger noise, or only every
+    other one has any, because it was resampled: both are then that of all.
+    """
+    usual, second = by_second_differences(values), np.diff(values, 2)
+    if not usual:
+        return None
+    every = float(np.sqrt(np.mean(second**2) / 6))
+    few = np.mean(np.abs(second) > _GLITCH * np.sqrt(6) * usual) < _FEW_CELLS
+    return (usual if few and every > _HEAVY * usual else every), every
 
 
 def by_a_few_cells(series: Sequence[Series]) -> Reason | None:
-    """Adopted noise that a few cells make, where none is stated: outliers that count in full.
-
-    The median of second differences against their mean square, in which what is smooth leaves
-    nothing.
-    """
+    """Adopted noise that a few cells make, where none is stated: outliers that count in full."""
     unknown = [each for each in series if each.stated is None and len(each) >= _FEWEST_VALUES]
 
     def looked_at() -> Iterator[Reason]:
         for each in unknown:
-            usual = by_second_differences(each.residual)
-            if each.times is not None and usual and each.from_differences > _HEAVY * usual:
-                size = each.from_differences / usual
+            both = None if each.times is None else _usual_differences(each.residual)
+            if both is not None and both[1] > both[0]:
+                size = each.from_differences / both[0]
                 sentence = (
                     f"the noise adopted for {each.channel} is that of a few cells, which make it "
                     f"{size:.3g} times what differs from sample to sample in most: empty them, "
@@ -238,19 +249,17 @@ def white_deviation(
 
     It is what the run states; else what the fit adopted, or, where that is larger by more than
     chance, that of second differences of the residuals `rest`, in which what is smooth leaves
-    nothing, without the few cells that are outliers.
+    nothing, without the few cells that are outliers. NaN is not measured.
     """
     if stated or not in_time:
         return stated or adopted
-    known = np.where(np.isfinite(rest), rest, np.nan)
-    apart = by_second_differences(known)
-    if not apart:
+    known = rest[np.isfinite(rest)]
+    both = _usual_differences(known)
+    if both is None:
         return adopted
-    mean = float(np.sqrt(np.nanmean(np.diff(known, 2) ** 2) / 6))
-    apart = mean if mean < _HEAVY * apart else apart
-    ratio, count = adopted / apart, int(np.sum(~np.isnan(known)))
-    sure = ratio > SIZE and tail(count, DIFFERENCES * count, ratio**2) < LEVEL
-    return apart if sure else adopted
+    ratio = adopted / both[0]
+    sure = ratio > SIZE and tail(len(known), DIFFERENCES * len(known), ratio**2) < LEVEL
+    return both[0] if sure else adopted
 
 
 def _against_stated(series: Sequence[Series], *, below: bool) -> Reason | None:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ._channels import Channel
-from ._plausible_columns import Look, number_of_links
+from ._plausible_columns import TURN, Look, number_of_links
 from ._run import Run
 
 _AXES = "xyz"
@@ -47,12 +47,12 @@ class Mistake:
         """The run as it would be without the mistake."""
         there = {name: of for name, of in self.sources.items() if name in run.values}
         kept = {name: values for name, values in run.values.items() if name not in there}
-        values = {of: run.values[name] / times for name, (of, times) in there.items()} | kept
+        values = kept | {of: run.values[name] / times for name, (of, times) in there.items()}
         channels = {
             of: run.channels[name] if of == name else Channel.named(of, run.channels[name].unit)
             for name, (of, _) in there.items()
         }
-        others = {name: each for name, each in run.channels.items() if name not in there}
+        others = {name: run.channels[name] for name in kept}
         observed = run.observed
         if observed is not None:
             observed = tuple(there.get(name, (name, 1.0))[0] for name in observed)
@@ -61,8 +61,12 @@ class Mistake:
         )
 
 
-def mistakes(runs: Sequence[Run]) -> list[Mistake]:
+def mistakes(runs: Sequence[Run], links: int | None = None) -> list[Mistake]:
     """Those that would change what these runs record, of each kind those that change least first.
+
+    Arguments:
+        runs: of one experiment or several.
+        links: number of those of the arm, if it is not as the runs say.
 
     Example:
         >>> import giajax
@@ -71,21 +75,34 @@ def mistakes(runs: Sequence[Run]) -> list[Mistake]:
         ['axes: z reversed', 'axes: x and z swapped', 'axes: y and z swapped']
     """
     measured = {name: run.channels[name] for run in runs for name in run.observations}
-    commands = {
+    given = {
         name: run.channels[name]
         for run in runs
-        for name, values in run.commands.items()
-        if run.channels[name].kind == "joint_command" and np.any(values)
+        for name in run.commands
+        if run.channels[name].kind == "joint_command"
     }
-    links = {number_of_links(Look(run)) for run in runs if run.model == "arm"}
-    count = links.pop() if len(links) == 1 else None
+    sizes = {
+        name: max(np.max(np.abs(run.commands[name])) for run in runs if name in run.commands)
+        for name in given
+    }
+    sizes = {name: float(size) for name, size in sizes.items() if size > 0}
+    commands = {name: given[name] for name in sizes}
+    counts = {number_of_links(Look(run)) for run in runs if run.model == "arm"}
+    count = counts.pop() if len(counts) == 1 else None
+    if links is not None and count is not None:
+        count = links
     return [
-        *_units(commands, "commands"),
+        *(
+            each
+            for each in _units(commands, "commands")
+            # Nobody commands a joint to turn round.
+            if all(most <= TURN * each.sources[name][1] for name, most in sizes.items())
+        ),
         *_units({n: c for n, c in measured.items() if c.kind == "joint_angle"}, "angles"),
         *_lengths(measured),
         *_axes(measured, every=count is not None),
         *_labels(measured, count),
-        *_commands(commands, count),
+        *_commands(commands, given, count),
     ]
 
 
@@ -199,8 +216,13 @@ def _labels(measured: Mapping[str, Channel], count: int | None) -> Iterator[Mist
     yield called("the links counted from the tip", from_tip)
 
 
-def _commands(commands: Mapping[str, Channel], count: int | None) -> Iterator[Mistake]:
-    """Signs of commands, and commands of other joints."""
+def _commands(
+    commands: Mapping[str, Channel], given: Mapping[str, Channel], count: int | None
+) -> Iterator[Mistake]:
+    """Signs of commands, and commands of other joints: of those that move, among all.
+
+    A command that is zero throughout has the place of the one that takes its.
+    """
     for name, channel in commands.items():
         yield Mistake(
             "signs",
@@ -213,10 +235,8 @@ def _commands(commands: Mapping[str, Channel], count: int | None) -> Iterator[Mi
             if other == channel.index:
                 continue
             new = f"joint{other:02d}_command"
-            yield Mistake(
-                "command",
-                f"{name} that of joint {other}",
-                f"--rename {channel.column}={new}_{channel.unit}",
-                {name: (new, 1.0)} | ({new: (name, 1.0)} if new in commands else {}),
-                "commands",
-            )
+            sources, remedy = {name: (new, 1.0)}, f"--rename {channel.column}={new}_{channel.unit}"
+            if new in given:
+                sources[new] = (name, 1.0)
+                remedy += f" --rename {given[new].column}={name}_{given[new].unit}"
+            yield Mistake("command", f"{name} that of joint {other}", remedy, sources, "commands")

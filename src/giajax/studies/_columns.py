@@ -17,13 +17,15 @@ from ..fitting import (
     tied,
 )
 from ..models import AbstractModel
-from ..recordings import Mistake, Run, mistakes
-from ..schema.parameters import replace
+from ..recordings import Channel, Mistake, Run, mistakes
+from ..runtime.text import InputError
+from ..schema import LINKS
+from ..schema.parameters import declared, replace
 from ._refit import with_fitted_states
 from ._score import Projected, models_of_runs, weighted_rest
 
 _AXES = "xyz"
-
+_SIMULATED = 60  # commands that are tried for those of any joint; of more, of the next ones alone
 
 _FAR_LESS = 4.0  # times: what missing physics looks like takes half of chi-square at most
 
@@ -43,31 +45,35 @@ def mistaken_rows(
     Commands are tried with the values that the fit began with: a fit to wrong ones has bent its
     model to them, and each takes a simulation.
     """
-    asked = mistakes(runs)
-    names = {name for run in runs for name in run.observations}
-    others = {of for each in asked if each.kind != "commands" for of, _ in each.sources.values()}
+    asked = mistakes_of(result.model, runs)
     points = [models_of_runs(result)]
     if result.history:
         first = replace(result.model, result.history[0].parameters)
         ties = resolved_ties(first, result.config.get("ties", {}))
         points.append([tied(first, ties)] * len(runs))
     begun = with_fitted_states(result, runs)
+    channels = [_asked_of(run, asked) for run in runs]
+    simulated = _simulated(asked)
     best: dict[SuspectKind, tuple[float, str, str]] = {}
     for number, models in enumerate(points if asked else []):
         # The same channels each time: one program.
-        predicted = functools.partial(_predicted, models, channels=sorted(names | others))
+        predicted = functools.partial(_predicted, models, channels=channels)
         as_they_are = predicted(begun)
         columns = [
             np.stack([of_run[name] for name in response.channels], axis=-1)
             for of_run, response in zip(as_they_are, at, strict=True)
         ]
         most = chi_square_of(at, columns, factors) / _FAR_LESS
+        last = number == len(points) - 1
         for mistake in asked:
             whole = as_they_are
             if mistake.kind == "commands":
-                if number < len(points) - 1:
+                if not last or mistake.name not in simulated:
                     continue
-                whole = predicted([mistake.undone(run) for run in begun])
+                try:
+                    whole = predicted([mistake.undone(run) for run in begun])
+                except InputError:  # No arm can follow them, which is no mistake then.
+                    continue
             seen = [
                 _seen_with(mistake, of_run, response.channels)
                 for of_run, response in zip(whole, at, strict=True)
@@ -91,10 +97,36 @@ def mistaken_rows(
     return rows, len(asked)
 
 
+def mistakes_of(model: AbstractModel, runs: Sequence[Run]) -> list[Mistake]:
+    """The mistakes of columns, of an arm with as many links as the model has."""
+    lengths = declared(model).get(LINKS.length.path)
+    return mistakes(runs, None if lengths is None else int(np.size(lengths.value(model))))
+
+
+def _asked_of(run: Run, asked: Sequence[Mistake]) -> list[str]:
+    """The channels of a run, and those that it would have without one of the mistakes."""
+    there = set(run.observations)
+    sources = [each.sources.items() for each in asked if each.kind != "commands"]
+    return sorted(there | {of for some in sources for name, (of, _) in some if name in there})
+
+
+def _simulated(asked: Sequence[Mistake]) -> set[str]:
+    """Names of mistakes of commands, each of which takes a simulation: of many, the nearest."""
+
+    def is_near(mistake: Mistake) -> bool:
+        names = ((name, of) for name, (of, _) in mistake.sources.items())
+        pairs = ([Channel.named(each).index for each in both] for both in names)
+        return all(abs((one or 0) - (other or 0)) <= 1 for one, other in pairs)
+
+    commands = [each for each in asked if each.kind == "commands"]
+    few = len(commands) <= _SIMULATED
+    return {each.name for each in commands if few or is_near(each)}
+
+
 def _predicted(
-    models: Sequence[AbstractModel], runs: Sequence[Run], channels: Sequence[str]
+    models: Sequence[AbstractModel], runs: Sequence[Run], channels: Sequence[Sequence[str]]
 ) -> list[PredictedRun]:
-    return [predict(model, run, channels) for model, run in zip(models, runs, strict=True)]
+    return [predict(*of_run) for of_run in zip(models, runs, channels, strict=True)]
 
 
 def _seen_with(

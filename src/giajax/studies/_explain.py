@@ -28,7 +28,6 @@ from ..recordings import (
     Run,
     hold_out,
     make_folder,
-    mistakes,
     read_run,
     unique_names,
     write_files,
@@ -39,6 +38,7 @@ from ..runtime.limits import JOURNAL_BYTES
 from ..runtime.process import stop_if_asked
 from ..runtime.records import from_plain, plain_data
 from ..runtime.text import InputError, time_in_words
+from ._columns import mistakes_of
 from ._explain_records import ExplainedParameter, ExplainedStep, Explanation
 from ._refit import fit_key, refit, with_fitted_state
 from ._stepwise import (
@@ -446,7 +446,7 @@ def _final(
     changes = [fit.suspect.path for fit in climb.taken if fit.suspect is not None]
     seen = whole
     for change in changes:
-        for mistake in [each for each in mistakes(seen) if each.name == change]:
+        for mistake in [each for each in mistakes_of(result.model, seen) if each.name == change]:
             seen = [mistake.undone(run) for run in seen]
     if seen is not whole and kept.folder is not None:
         # Other commands read them again.

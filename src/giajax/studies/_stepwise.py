@@ -10,10 +10,11 @@ import numpy as np
 
 from ..fitting import FitResult, Response, Suspect, in_full, matching_runs
 from ..models import AbstractModel, capabilities
-from ..recordings import PriorEntry, Run, mistakes
+from ..recordings import PriorEntry, Run
 from ..runtime.aliases import warn_of_name
 from ..runtime.text import InputError
 from ..schema.parameters import declared, elements, left_out
+from ._columns import mistakes_of
 from ._refit import refit, with_fitted_state
 from ._score import Coordinates, responses_of, white_noise
 from ._suspects import Suspects, suspects
@@ -282,7 +283,9 @@ def _with(
         free = [by] if by in declared(other) else []
         return again(runs, model=other, free=free), *same
     if suspect.kind in ("axes", "columns"):
-        mistake = next(each for each in mistakes(runs) if each.name == suspect.path)
+        mistake = next(
+            each for each in mistakes_of(result.model, runs) if each.name == suspect.path
+        )
         right = [mistake.undone(run) for run in runs]
         start = result.history[0].parameters
         return again(right, start=start), right, [mistake.undone(run) for run in apart]
