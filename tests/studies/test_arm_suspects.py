@@ -93,6 +93,18 @@ def test_a_mistake_with_columns_is_among_the_first_suspects(name, rename, times)
 
 
 @pytest.mark.slow
+def test_a_table_of_all_joints_with_a_command_in_the_wrong_column_is_named():
+    """Of a model made in Python: nothing in the run says how many links there are."""
+    right = recorded({})
+    values = right.values | {"joint03_command": right.values["joint02_command"]}
+    values |= {"joint02_command": 0 * TIMES, "joint04_command": 0 * TIMES}
+    noise = {"noise": {"position_m": small_arm.NOISE}, "uncertainty": {"defaults": False}}
+    found = asked(giajax.Run.from_arrays(TIMES, values, name="table", definition=noise))
+    first = [row.path for row in found.promising[:3]]
+    assert "columns: joint03_command that of joint 2" in first
+
+
+@pytest.mark.slow
 def test_a_drive_that_does_not_move_is_named():
     """Of four joints with commands; a fit frees its gain alone, and finds none."""
     late = {"joint03_command": 0.1 * np.clip((TIMES - 1) / 0.5, 0, 1)}
