@@ -9,6 +9,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.signal
 
 import giajax
 import small_arm
@@ -169,7 +170,8 @@ def test_points_that_a_camera_exchanged_or_lost_are_named():
         row = first(changed)
         assert (row.path, row.kind) == (f"points: {name}", "points")
         assert row.note.endswith(when)
-        assert row.p_value < 1e-6
+        # The fit has bent to what was exchanged: its residuals have a memory in all other rows.
+        assert row.p_value < 1e-3
 
 
 @pytest.mark.slow
@@ -202,6 +204,25 @@ def test_lift_that_is_lost_in_a_run_is_named():
 def test_a_right_arm_is_not_accused():
     named = [row.path for seed in range(3) for row in asked(recorded({}, seed)).significant]
     assert len(named) <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 6])
+def test_noise_with_a_memory_is_no_point_that_was_taken_for_another(seed):
+    """By these random numbers, link04 and the tip might have been exchanged, as of white noise."""
+    times, fade = np.linspace(0.0, 12.0, 121), 0.9
+    ramp = np.clip(times / 0.5, 0, 1)
+    commands = {"joint01_command": 0.6 * ramp, "joint02_command": -0.5 * ramp}
+    stated = {"noise": {"position": small_arm.NOISE}, "constants": arm()}
+    model, points = replace(arm(), small_arm.TRUTH), ["link03_z", "link04_z", "tip_z"]
+    run = giajax.synthesise(model, times, commands, points, seed=0, **stated)
+    random, values = np.random.default_rng(seed), dict(run.values)
+    for name in run.observations:
+        fresh = 20 * small_arm.NOISE * random.normal(size=len(times))
+        fresh[1:] *= np.sqrt(1 - fade**2)
+        values[name] = values[name] + scipy.signal.lfilter([1.0], [1.0, -fade], fresh)
+    found = asked(dataclasses.replace(run, values=values))
+    assert not [row.path for row in found.rows if row.kind == "points"]
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from ..runtime.text import InputError
 from ..schema import LINKS
 from ..schema.parameters import declared, replace
 from ._refit import with_fitted_states
-from ._score import Projected, models_of_runs, weighted_rest
+from ._score import Projected, models_of_runs, neighbours, weighted_rest
 
 _AXES = "xyz"
 _SIMULATED = 60  # commands that are tried for those of any joint; of more, of the next ones alone
@@ -195,12 +195,39 @@ def points_row(
     name, (drop, first, end) = max(ways.items(), key=lambda way: way[1][0])
     # As of axes, for each of the stretches that it might have been.
     scale = max(1.0, (chi_square - drop) / max(rest.values - rest.parameters, 1))
+    scale *= _times_white(at, factors, first, end)
     likelihood = np.log(len(ways)) + 2 * np.log(starts[-1]) - drop / scale / 2
     if likelihood > 0:  # As much by chance.
         return []
     places = [_moment(runs, starts, row) for row in (first, max(end - 1, first))]
     note = f"from {places[0]} to {places[1]}"
     return [_row_of(name, "points", drop, float(np.exp(likelihood)), note)]
+
+
+_FEWEST_ROWS = 16  # of a channel, whose memory says nothing if it has fewer
+
+
+def _times_white(
+    at: Sequence[Response], factors: Sequence[np.ndarray], first: int, end: int
+) -> float:
+    """How many times as much residuals with a memory take from chi-square by chance.
+
+    As neighbouring samples have in common outside of the rows from `first` to `end`, where these
+    are not nearly all.
+    """
+    found, row = [], 0
+    for response, factor in zip(at, factors, strict=True):
+        rows = np.arange(row, row + len(factor))
+        row += len(factor)
+        outside = ((rows < first) | (rows >= end))[:, None] & (factor > 0)
+        residuals = weighted_rest(response, response.predicted, factor)
+        for rest, kept in zip(residuals.T, outside.T, strict=True):
+            if np.count_nonzero(kept) >= _FEWEST_ROWS:
+                found.append(neighbours(np.where(kept, rest, 0.0), kept))
+    if not found and end > first:
+        return _times_white(at, factors, 0, 0)
+    rho = float(np.median(found)) if found else 0.0
+    return (1 + rho) / (1 - rho)
 
 
 def _cells_of_points(

@@ -488,7 +488,7 @@ def _spread(
             continue
         noise = np.where(measured, left[place], 0.0)
         variance = max(float(np.sum(noise**2)) / max(share * count, 1.0), 1.0)
-        rho = _neighbours(noise, measured) if timed else 0.0
+        rho = neighbours(noise, measured) if timed else 0.0
         part = np.where(measured[:, None], columns[place], 0.0)
         # What each value has in common with all that came before it: y[t] = rho (y[t-1] + x[t-1]).
         bands = np.stack([np.ones(len(part)), np.full(len(part), -rho)])
@@ -499,7 +499,7 @@ def _spread(
     return spread, max(effective - rest.lost - tests, 3.0)
 
 
-def _neighbours(noise: np.ndarray, measured: np.ndarray) -> float:
+def neighbours(noise: np.ndarray, measured: np.ndarray) -> float:
     """Correlation of neighbouring samples, not below 0; corrected for its bias (Kendall 1954)."""
     pairs = int(np.sum(measured[1:] & measured[:-1]))
     power = float(np.sum(noise**2))
