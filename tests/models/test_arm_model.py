@@ -179,6 +179,9 @@ def test_a_clock_that_is_off_leaves_the_prediction_and_is_a_condition(run):
     )  # fmt: skip
     # Stiffness that is held, and a rate, say what a second is.
     assert said(model, [run], free[::2]) == said(model, [turning], free) == []
+    each = giajax.replace(model, {"joints.damping": np.full(LINKS, 0.08)})
+    assert said(each, [run], [*free[:2], "joints.damping[0]"]) == []
+    assert len(said(each, [run], free)) == 1
     heavy = giajax.replace(model, {"gravity": 9.81})
     for other, given in (heavy, free), (model, free[:2]), (model, ["air.drag_coefficient"]):
         assert said(other, [run], given) == []

@@ -209,6 +209,9 @@ def test_noise_that_was_resampled_is_not_that_of_a_few_cells():
     recorded = SIGMA * rng.normal(size=401)
     rest = np.interp(np.arange(1201) / 3, np.arange(401), recorded) + 1e-9 * rng.normal(size=1201)
     assert 0.15 * SIGMA < white_deviation(rest, None, float(np.std(rest)), in_time=True) < SIGMA
+    often = SIGMA * rng.normal(size=1000) + 50 * SIGMA * (rng.uniform(size=1000) < 0.05)
+    seen = white_deviation(often, None, float(np.std(often)), in_time=True)
+    assert seen == pytest.approx(SIGMA, rel=0.3)
     gappy = np.full(4000, np.nan)
     gappy[::3] = SIGMA * rng.normal(size=1334) + 5 * SIGMA * np.sin(np.linspace(0, 6, 1334))
     taken = float(np.nanstd(gappy))

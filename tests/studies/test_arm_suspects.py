@@ -207,20 +207,21 @@ def test_a_right_arm_is_not_accused():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [3, 6])
+@pytest.mark.parametrize("seed", [0, 10])
 def test_noise_with_a_memory_is_no_point_that_was_taken_for_another(seed):
-    """By these random numbers, link04 and the tip might have been exchanged, as of white noise."""
+    """By these numbers, one link might be shown by another one's marker, as of white noise."""
     times, fade = np.linspace(0.0, 12.0, 121), 0.9
     ramp = np.clip(times / 0.5, 0, 1)
     commands = {"joint01_command": 0.6 * ramp, "joint02_command": -0.5 * ramp}
-    stated = {"noise": {"position": small_arm.NOISE}, "constants": arm()}
-    model, points = replace(arm(), small_arm.TRUTH), ["link03_z", "link04_z", "tip_z"]
+    size, model = 20 * small_arm.NOISE, replace(arm(), small_arm.TRUTH)
+    stated = {"noise": {"position": size}, "constants": arm()}
+    points = ["link03_z", "link04_z", "tip_z"]
     run = giajax.synthesise(model, times, commands, points, seed=0, **stated)
-    random, values = np.random.default_rng(seed), dict(run.values)
+    random, values, true = np.random.default_rng(seed), dict(run.values), giajax.predict(model, run)
     for name in run.observations:
-        fresh = 20 * small_arm.NOISE * random.normal(size=len(times))
+        fresh = size * random.normal(size=len(times))
         fresh[1:] *= np.sqrt(1 - fade**2)
-        values[name] = values[name] + scipy.signal.lfilter([1.0], [1.0, -fade], fresh)
+        values[name] = true[name] + scipy.signal.lfilter([1.0], [1.0, -fade], fresh)
     found = asked(dataclasses.replace(run, values=values))
     assert not [row.path for row in found.rows if row.kind == "points"]
 

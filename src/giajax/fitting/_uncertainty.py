@@ -264,8 +264,8 @@ _NO_RESPONSE = 1e-6
 FAR_OFF = 5.0
 
 
-# Differences from sample to sample make noise with a memory up to so many times too small: of a
-# correlation of 0.95 between neighbours five times.
+# Differences from sample to sample make noise with a memory too small, of a correlation of 0.8
+# between neighbours by this factor: with it, one of 0.98 is not yet a model that fails.
 _WITH_MEMORY = 2.5
 
 

@@ -38,7 +38,7 @@ from ..schema import (
     from_default_preset,
     preset_sentence,
 )
-from ..schema.parameters import declared, find, get, replace
+from ..schema.parameters import declared, elements, find, get, replace
 from ._arm_sensors import Sensors
 from ._protocol import AbstractModel
 
@@ -257,7 +257,8 @@ def clock_conditions(
     counted = {path: IN_SECONDS[name] for path, name in names.items() if name in IN_SECONDS}
     channels = [channel for run in runs for channel in run.channels.values()]
     present = declared(model)
-    held = [path for path in IN_SECONDS if path in present and path not in names.values()]
+    parts = [part for path in IN_SECONDS if path in present for part in elements(model, path)]
+    held = [part.path for part in parts if not {part.path, part.path.partition("[")[0]} & {*free}]
     initial = [run.definition.section(InitialSection).values() for run in runs]
     known = [
         bool(arm.gravity != 0) or arm.buoyancy is not None,

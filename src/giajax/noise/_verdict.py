@@ -205,7 +205,8 @@ def below_stated(series: Sequence[Series]) -> Reason | None:
 
 
 _HEAVY = 3.0  # times; noise with tails as wide as those of Student's t with 3 degrees has 1.7
-_GLITCH, _FEW_CELLS = 6.0, 0.1  # deviations of a second difference, and of how many at most
+# Deviations of a second difference, and of how many at most: a glitch makes three of them.
+_GLITCH, _FEW_CELLS = 6.0, 0.2
 
 
 def _usual_differences(values: Float[np.ndarray, " sample"]) -> tuple[float, float] | None:

@@ -25,9 +25,9 @@ from ._refit import with_fitted_states
 from ._score import Projected, models_of_runs, neighbours, weighted_rest
 
 _AXES = "xyz"
-_SIMULATED = 60  # commands that are tried for those of any joint; of more, of the next ones alone
+_SIMULATED = 60  # mistakes of commands that are tried at most
 
-_FAR_LESS = 4.0  # times: what missing physics looks like takes half of chi-square at most
+_FAR_LESS = 4.0  # times; what missing physics looked like took up to half of chi-square
 
 
 def mistaken_rows(
@@ -41,7 +41,7 @@ def mistaken_rows(
     """The best of other axes, and of other names and units of columns; and how many were tried.
 
     Another name or unit has to leave far less than the columns as they are, with the same values:
-    it does, where it is right, and where physics is missing one that is wrong may leave less, too.
+    where physics is missing, a wrong one may leave less, too. Small mistakes are not named for it.
     Commands are tried with the values that the fit began with: a fit to wrong ones has bent its
     model to them, and each takes a simulation.
     """
@@ -94,7 +94,8 @@ def mistaken_rows(
         scale = max(1.0, other / max(rest.values - rest.parameters, 1))
         p_value = float(min(1.0, np.exp(-drop / scale / 2)))
         rows.append(_row_of(name, kind, drop, p_value, note))
-    return rows, len(asked)
+    commands = sum(each.kind == "commands" for each in asked)
+    return rows, len(asked) - commands + len(simulated)
 
 
 def mistakes_of(model: AbstractModel, runs: Sequence[Run]) -> list[Mistake]:
@@ -111,16 +112,15 @@ def _asked_of(run: Run, asked: Sequence[Mistake]) -> list[str]:
 
 
 def _simulated(asked: Sequence[Mistake]) -> set[str]:
-    """Names of mistakes of commands, each of which takes a simulation: of many, the nearest."""
+    """Names of mistakes of commands, each of which takes a simulation: those of nearest joints."""
 
-    def is_near(mistake: Mistake) -> bool:
+    def distance(mistake: Mistake) -> int:
         names = ((name, of) for name, (of, _) in mistake.sources.items())
-        pairs = ([Channel.named(each).index for each in both] for both in names)
-        return all(abs((one or 0) - (other or 0)) <= 1 for one, other in pairs)
+        joints = ([Channel.named(each).index or 0 for each in both] for both in names)
+        return max(abs(one - other) for one, other in joints)
 
     commands = [each for each in asked if each.kind == "commands"]
-    few = len(commands) <= _SIMULATED
-    return {each.name for each in commands if few or is_near(each)}
+    return {each.name for each in sorted(commands, key=distance)[:_SIMULATED]}
 
 
 def _predicted(
@@ -195,7 +195,8 @@ def points_row(
     name, (drop, first, end) = max(ways.items(), key=lambda way: way[1][0])
     # As of axes, for each of the stretches that it might have been.
     scale = max(1.0, (chi_square - drop) / max(rest.values - rest.parameters, 1))
-    scale *= _times_white(at, factors, first, end)
+    # What a fit has bent to is both larger and correlated: the larger of the two counts.
+    scale = max(scale, _times_white(at, factors, list(cells), first, end))
     likelihood = np.log(len(ways)) + 2 * np.log(starts[-1]) - drop / scale / 2
     if likelihood > 0:  # As much by chance.
         return []
@@ -208,12 +209,16 @@ _FEWEST_ROWS = 16  # of a channel, whose memory says nothing if it has fewer
 
 
 def _times_white(
-    at: Sequence[Response], factors: Sequence[np.ndarray], first: int, end: int
+    at: Sequence[Response],
+    factors: Sequence[np.ndarray],
+    points: Sequence[str],
+    first: int,
+    end: int,
 ) -> float:
     """How many times as much residuals with a memory take from chi-square by chance.
 
-    As neighbouring samples have in common outside of the rows from `first` to `end`, where these
-    are not nearly all.
+    As neighbouring samples of most points have in common outside of the rows from `first` to
+    `end`, where these are not nearly all.
     """
     found, row = [], 0
     for response, factor in zip(at, factors, strict=True):
@@ -221,11 +226,12 @@ def _times_white(
         row += len(factor)
         outside = ((rows < first) | (rows >= end))[:, None] & (factor > 0)
         residuals = weighted_rest(response, response.predicted, factor)
-        for rest, kept in zip(residuals.T, outside.T, strict=True):
-            if np.count_nonzero(kept) >= _FEWEST_ROWS:
+        columns = zip(response.channels, residuals.T, outside.T, strict=True)
+        for name, rest, kept in columns:
+            if name.rpartition("_")[0] in points and np.count_nonzero(kept) >= _FEWEST_ROWS:
                 found.append(neighbours(np.where(kept, rest, 0.0), kept))
     if not found and end > first:
-        return _times_white(at, factors, 0, 0)
+        return _times_white(at, factors, points, 0, 0)
     rho = float(np.median(found)) if found else 0.0
     return (1 + rho) / (1 - rho)
 
