@@ -174,8 +174,12 @@ def test_who_hangs_up_has_the_best_so_far(folder):
     for ignored, status in ((False, 129), (True, 0)):
         shutil.rmtree("out", ignore_errors=True)
         line = f'{HANG_UP_IGNORED * ignored}exec {sys.executable} -c "$1"'
+        # These tests may be run by `nohup`, which every process that they start inherits.
+        usual = "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL)\n" * (not ignored)
         running = subprocess.Popen(
-            ["bash", "-c", line, "bash", SLOW_FIT], stderr=subprocess.PIPE, stdout=subprocess.PIPE
+            ["bash", "-c", line, "bash", usual + SLOW_FIT],
+            stderr=subprocess.PIPE,
+            stdout=subprocess.PIPE,
         )
         while not (Path("out/journal.jsonl").exists() and Path("out/journal.jsonl").stat().st_size):
             time.sleep(0.05)
