@@ -73,6 +73,17 @@ def test_a_model_that_describes_nothing_is_asked_first_whatever_passes_for_noise
     assert "give it a prior" in advised
 
 
+def test_where_most_cells_are_far_off_they_are_no_outliers():
+    """A loss that lets outliers stand does not let a whole recording stand."""
+    recorded = run(samples=200)
+    waves = 2 * np.sin(3 * recorded.times) + np.random.default_rng(0).normal(scale=0.01, size=200)
+    free = ["amplitude", "decay", "offset", "idle"]
+    for values, said in ((waves, "ask first why"), (recorded.values["tip_z"], "leave it held")):
+        again = replace(recorded, values={"tip_z": values})
+        result = fit(Decay(), again, free=free, loss="student_t", max_iterations=20)
+        assert coded(result)["no_response"].advice.startswith(said)
+
+
 def test_of_columns_without_any_response_each_is_a_group():
     jacobian = np.random.default_rng(0).normal(size=(9, 4)) * [1.0, 0.0, 2.0, 0.0]
     assert sorted(undetermined_groups(jacobian)) == [[1], [3]]

@@ -158,8 +158,10 @@ def _cannot_describe(state: FitState) -> str:
     """
     steps = state.history[state.round_began :]
     gained = len(steps) <= _LAST or steps[-1 - _LAST].cost > 2 * steps[-1].cost
+    if gained and not state.noise.estimated:
+        return ""
     scale = times_white_noise(state)
-    if (gained and not state.noise.estimated) or not scale > FAR_OFF:
+    if not scale > FAR_OFF:
         return ""
     return (
         f", and the residuals are {scale:.2g} times the noise: the model does not describe the "

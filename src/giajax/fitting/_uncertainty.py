@@ -282,11 +282,11 @@ def times_white_noise(state: FitState) -> float:
         white = white_deviation(each.residual, stated, each.adopted, in_time=in_time)
         if stated is None:
             white = min(_WITH_MEMORY * white, max(each.adopted, white))
-        rest = (
-            each.residual[np.abs(each.residual) <= OUTLIER * each.adopted]
-            if robust
-            else each.residual
-        )
+        rest = each.residual
+        if robust and len(rest):
+            # Outliers are few: where most cells are far off, they are what the model lacks.
+            usual = max(each.adopted, robust_deviation(rest))
+            rest = rest[np.abs(rest) <= OUTLIER * usual]
         squares += float(np.sum((rest / white) ** 2))
         count += len(rest)
     return float(np.sqrt(squares / max(count, 1)))
