@@ -201,7 +201,7 @@ OMITTED = tuple(name for name in CASES if name != SINGLE)
 
 def run(size: int, seed: int, names: Sequence[str] = OMITTED) -> Figures:
     """Figures of `size` recordings of each case and sensor set, with random numbers of its own."""
-    return {cell: counted(found) for cell, found in each(size, seed, names, one).items()}
+    return {cell: counted(found) for cell, found in repeated(size, seed, names, one).items()}
 
 
 def part(size: int, seed: int) -> Figures:
@@ -209,7 +209,7 @@ def part(size: int, seed: int) -> Figures:
     return run(size, seed, ("camera 30 ms late",))
 
 
-def each(
+def repeated(
     size: int, seed: int, names: Sequence[str], single: Callable[..., Figures]
 ) -> dict[str, list[Figures]]:
     """What `single` finds in `size` recordings of each case and sensor set.

@@ -21,7 +21,7 @@ CASES = (NOTHING, MEMORY, USUAL, SINGLE)
 
 def run(size: int, seed: int, names: tuple[str, ...] = CASES) -> Figures:
     """Figures of `size` recordings of each case and sensor set."""
-    found = omissions.each(size, seed, names, one)
+    found = omissions.repeated(size, seed, names, one)
     return {cell: figures(of_cell) for cell, of_cell in found.items()}
 
 

@@ -191,6 +191,13 @@ def _correlated(state: FitState, statistics: Statistics) -> Iterator[Finding]:
         if determined[j] < state.problem.shared and abs(correlation[i, j]) > _CORRELATED
         if not {statistics.labels[determined[k]] for k in (i, j)} & set(state.setup.nuisances)
     ]
+    if not pairs:
+        return
+    advice = _unless_far_off(
+        state,
+        "do not read one without the other; a prior on one, or a run in which they act at "
+        "different times, tells them apart",
+    )
     for _, i, j in sorted(pairs, reverse=True)[:_MOST_PAIRS]:
         names = (statistics.labels[determined[j]], statistics.labels[determined[i]])
         yield Finding(
@@ -198,11 +205,7 @@ def _correlated(state: FitState, statistics: Statistics) -> Iterator[Finding]:
             names,
             f"{names[0]} and {names[1]} have a correlation of {correlation[i, j]:+.3f}, so that a "
             "change of one is nearly undone by one of the other",
-            _unless_far_off(
-                state,
-                "do not read one without the other; a prior on one, or a run in which they act at "
-                "different times, tells them apart",
-            ),
+            advice,
         )
 
 

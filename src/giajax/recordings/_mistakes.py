@@ -12,7 +12,7 @@ from ._plausible_columns import TURN, Look, number_of_links
 from ._run import Run
 
 _AXES = "xyz"
-_TURN = float(np.rad2deg(1.0))
+_DEGREES = float(np.rad2deg(1.0))  # of a radian
 _MOST_JOINTS = 40  # of which a command may be, each of which takes a simulation
 
 
@@ -117,7 +117,7 @@ def point_of(channel: Channel) -> str | None:
 
 def _units(angles: Mapping[str, Channel], kind: MistakeKind) -> Iterator[Mistake]:
     units = {channel.unit for channel in angles.values()}
-    for wrong, unit, times in (("deg", "rad", 1 / _TURN), ("rad", "deg", _TURN)):
+    for wrong, unit, times in (("deg", "rad", 1 / _DEGREES), ("rad", "deg", _DEGREES)):
         if units == {wrong}:
             name = next(iter(angles))
             yield Mistake(
