@@ -22,7 +22,6 @@ from rich.table import Table
 
 from benchmarks.measuring import (
     RESULTS,
-    ROOT,
     checkouts_of,
     command_line,
     source_of,
@@ -98,7 +97,7 @@ def fitted(
         cache: of the user.
         out: folder of the result.
         options: further ones of `giajax fit`.
-        fit: its definition; by default that of this checkout.
+        fit: its definition; by default its own of the base step.
 
     Returns:
         Its times in s, what it compiled, and its estimates by path.
@@ -107,7 +106,7 @@ def fitted(
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     # An installed package has its bytecode.
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    command = ["fit", str(fit or ROOT / FIT), "--out", str(out), "--force", *options]
+    command = ["fit", str(fit or checkout / FIT), "--out", str(out), "--force", *options]
     done = subprocess.run(
         [sys.executable, "-c", _PROCESS, *command],
         capture_output=True,

@@ -24,8 +24,7 @@ from benchmarks.measuring import RESULTS, command_line, store
 from giajax.mechanics.arm import Arm, takeichi_20m
 from giajax.report import new_figure, plain
 from giajax.schema.parameters import replace
-from giajax.simulation import Signal, constant, simulate
-from giajax.simulation._linearly_implicit import solver as solver_named
+from giajax.simulation import Signal, constant, simulate, solver as solver_named
 from giajax.simulation._motion import Inputs, motion
 from peers.arms import driven_arm
 

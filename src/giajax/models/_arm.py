@@ -2,9 +2,8 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -74,6 +73,9 @@ from ._arm_sensors import (
 from ._protocol import AbstractModel, Prediction, Scene
 from ._scenes import arm_scene
 from .capabilities import Integration
+
+if TYPE_CHECKING:
+    import diffrax
 
 Row = Float[np.ndarray, " joint"]
 
@@ -271,6 +273,10 @@ def _method(solver: Solver) -> Solver:
 
 
 def _controller(given: Any) -> Any:
+    if given is None:
+        return None
+    import diffrax
+
     if isinstance(given, diffrax.StepTo):
         raise InputError("StepTo has the times of one run: give an adaptive controller")
     return from_text(given) if isinstance(given, str) else given
@@ -300,7 +306,7 @@ class ArmModel(AbstractModel):
     max_steps: int = eqx.field(default=_MAX_STEPS, static=True)
     sensors: Sensors = inline(default_factory=Sensors)
     steps_for: StepsFor = eqx.field(default="motion", static=True)
-    stepsize_controller: diffrax.AbstractAdaptiveStepSizeController | None = eqx.field(
+    stepsize_controller: "diffrax.AbstractAdaptiveStepSizeController | None" = eqx.field(
         default=None, static=True, converter=_controller
     )
 

@@ -3,7 +3,6 @@
 Where such steps are needed, and why, stands in `_disturbances`.
 """
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -13,10 +12,10 @@ import jax
 import jax.numpy as jnp
 
 from ..runtime.arrays import Array, Float, Scalar
-from ..runtime.text import InputError
-from ._linearly_implicit import SOLVERS, LinearlyImplicit, Solver, solver as method_named
+from ._linearly_implicit import LinearlyImplicit
 from ._motion import Inputs, Rates, State, fastest_rate, turns
 from ._signal import last_before
+from ._solvers import with_tolerances
 
 # Length of a step, times the rate of the motion, that a method is stable with: where its stability
 # function reaches 1 for an oscillation with 1 % of critical damping.
@@ -74,55 +73,13 @@ def step_size_controller(
         stable = length / rates.explicit
         if isinstance(solver, LinearlyImplicit):
             length = jnp.inf
-    controller = diffrax.PIDController(rtol, atol) if inner is None else _with(inner, rtol, atol)
+    controller = (
+        diffrax.PIDController(rtol, atol) if inner is None else with_tolerances(inner, rtol, atol)
+    )
     return diffrax.ClipStepSizeController(
         _Careful(controller, stable, slowness, jnp.sort(bends), turns, length, mobility),
         jump_ts=corners,
     )
-
-
-def _with(controller: Any, rtol: Any, atol: Any) -> Any:
-    """A controller with other tolerances, which may be those of one within it."""
-    held = vars(controller)
-    if {"rtol", "atol"} <= held.keys():
-        return dataclasses.replace(controller, rtol=rtol, atol=atol)
-    if "controller" in held:
-        inner = _with(held["controller"], rtol, atol)
-        return eqx.tree_at(lambda outer: outer.controller, controller, inner)
-    raise InputError(
-        f"the step size controller {type(controller).__name__} has no fields rtol and atol, which "
-        "a fit or a caller sets: give it both, or diffrax.PIDController(rtol=..., atol=...)"
-    )
-
-
-def check_method(solver: Solver, controller: object = None) -> None:
-    """Refuse (`InputError`) a solver, or a controller of its steps, that no arm moves by."""
-    if controller is None and isinstance(solver, str) and solver in SOLVERS:
-        return
-    method = method_named(solver)
-    fixed, name = isinstance(controller, diffrax.StepTo), type(method).__name__
-    adaptive = controller is None or isinstance(
-        controller, diffrax.AbstractAdaptiveStepSizeController
-    )
-    if not (fixed or adaptive):
-        raise InputError(
-            f"the step size controller is {type(controller).__name__}, which says no lengths of "
-            "steps: give diffrax.StepTo(ts=...), or an adaptive one such as diffrax.PIDController"
-        )
-    if adaptive and not isinstance(method, diffrax.AbstractAdaptiveSolver):
-        raise InputError(
-            f"{name} estimates no error of a step, by which its length is chosen: give "
-            f"diffrax.HalfSolver({name}()), or stepsize_controller=diffrax.StepTo(ts=...)"
-        )
-    if fixed and isinstance(method, diffrax.AbstractImplicitSolver):
-        of_controller = diffrax.ImplicitEuler().root_finder.rtol  # what stands for that
-        if method.root_finder.rtol is of_controller:
-            raise InputError(
-                f"{name} takes the tolerances of its equations from an adaptive controller, and "
-                "StepTo has none: give it root_finder=diffrax.VeryChord(rtol=1e-8, atol=1e-8)"
-            )
-    if adaptive and controller is not None:
-        _with(controller, 0.0, 0.0)
 
 
 class _Careful(diffrax.AbstractAdaptiveStepSizeController):

@@ -1,4 +1,4 @@
-"""`springs5`, a linearly implicit additive Runge-Kutta method of order 5, and all methods by name.
+"""`springs5`, a linearly implicit additive Runge-Kutta method of order 5.
 
 One more factorisation a step, and no iteration but where joints remember their way: between two
 accurate steps of an explicit method stiff springs force many that are merely stable. Here the
@@ -6,7 +6,6 @@ springs and dampers of the joints and what pulls at them are implicit, and nothi
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import diffrax
@@ -25,9 +24,7 @@ from ..runtime.arrays import (
     inverse_of_positive,
     solution_by_factor,
 )
-from ..runtime.solvers import from_text
-from ..runtime.text import InputError
-from ._motion import Springs, pull, resistance, springs
+from ._motion import Springs, resistance
 
 
 class Tableau(NamedTuple):
@@ -419,48 +416,3 @@ def _known_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     rates, factor, *_ = primals
     _, _, held, begin = tangents
     return rates, begin - solution_by_factor(factor, held)
-
-
-_springs5 = partial(LinearlyImplicit, springs, pull)
-
-SOLVERS: dict[str, Callable[[], diffrax.AbstractAdaptiveSolver]] = {
-    "tsit5": diffrax.Tsit5,
-    "dopri5": diffrax.Dopri5,
-    "dopri8": diffrax.Dopri8,
-    "bosh3": diffrax.Bosh3,
-    "heun": diffrax.Heun,
-    "springs5": _springs5,
-    "kvaerno3": diffrax.Kvaerno3,
-    "kvaerno5": diffrax.Kvaerno5,
-}
-"""Explicit methods, then the one that is implicit in the joints' springs and dampers alone, the
-fastest of all where they are stiff, then fully implicit ones."""
-
-
-Solver = str | diffrax.AbstractSolver[Any]
-"""One of `SOLVERS`, a text such as "Kvaerno4()", or what that describes."""
-
-
-def solver(named: Solver, *, reverse: bool = True) -> diffrax.AbstractSolver[Any]:
-    """The method that is named, to be differentiated in reverse mode or not.
-
-    Raises:
-        InputError: there is none of the name, or it is not for ordinary differential equations.
-    """
-    if isinstance(named, str) and named in SOLVERS:
-        return _springs5(reverse=reverse) if named == "springs5" else SOLVERS[named]()
-    method: Any = named
-    if isinstance(named, str) and "(" in named:
-        method = from_text(named)
-    # A solver around what is none has no terms.
-    if not (isinstance(method, diffrax.AbstractSolver) and hasattr(method, "term_structure")):
-        raise InputError(
-            f"there is no solver '{named}': use one of {', '.join(SOLVERS)}, or one of diffrax, "
-            "such as Kvaerno4()"
-        )
-    if method.term_structure is not diffrax.AbstractTerm:
-        raise InputError(
-            f"{type(method).__name__} is for stochastic equations or such that are split, and the "
-            "motion of an arm is neither: give another solver, such as Tsit5()"
-        )
-    return method

@@ -2,9 +2,8 @@
 
 from collections.abc import Callable
 from operator import attrgetter
-from typing import Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
-import diffrax
 import equinox as eqx
 import equinox.internal as eqxi
 import jax
@@ -17,12 +16,13 @@ from ..runtime.programs import program
 from ..runtime.text import InputError
 from ..schema import ALPHA, BETA, BRAIDED, DRIVE, GEOMETRY, LOAD
 from ..schema.parameters import is_concrete
-from ._controller import check_method, step_size_controller
-from ._linearly_implicit import LinearlyImplicit, Solver, solver as solver_named
 from ._motion import Inputs, Rates, fastest_rate, motion
-from ._return_mapping import with_return_mapping
 from ._signal import Pressures, Signal, check_muscles, constant, followed
+from ._solvers import Solver, check_method, solver as solver_named
 from ._trajectory import RESULTS, SimulationError, Trajectory
+
+if TYPE_CHECKING:
+    import diffrax
 
 # What disturbs an arm, and the steps that derivatives by a disturbance need.
 #
@@ -109,8 +109,10 @@ T = TypeVar("T")
 Derivatives = Literal["forward", "reverse"]
 
 
-def adjoint(derivatives: str) -> diffrax.AbstractAdjoint:
+def adjoint(derivatives: str) -> "diffrax.AbstractAdjoint":
     """The diffrax adjoint that offers a mode of differentiation; `InputError` for another one."""
+    import diffrax
+
     if derivatives == "forward":
         return diffrax.ForwardMode()
     if derivatives == "reverse":
@@ -172,7 +174,7 @@ def integrate(
     steps_for: str,
     span: tuple[Scalar, Scalar] | None = None,
     pressure: Pressures | None = None,
-    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    stepsize_controller: "diffrax.AbstractStepSizeController | None" = None,
 ) -> Trajectory:
     """The compiled core of `simulate`: no checks, and a failure is a result code.
 
@@ -187,6 +189,13 @@ def integrate(
     Raises:
         TypeError: differentiated by a disturbance with `steps_for="motion"`.
     """
+    # Only where this is compiled.
+    import diffrax
+
+    from ._controller import step_size_controller
+    from ._linearly_implicit import LinearlyImplicit
+    from ._return_mapping import with_return_mapping
+
     begin, end = (times[0], times[-1]) if span is None else span
     supplied = None if pressure is None else pressure.signal
     inputs = [signal for signal in (command, wind, torque, supplied) if signal is not None]
@@ -260,7 +269,9 @@ def integrate(
     )
 
 
-def _result(ended: diffrax.RESULTS, finite: Array) -> Any:
+def _result(ended: "diffrax.RESULTS", finite: Array) -> Any:
+    import diffrax
+
     where: Any = RESULTS.where
     code = where(finite, RESULTS.successful, RESULTS.not_finite)
     code = where(ended == diffrax.RESULTS.successful, code, RESULTS.not_finite)
@@ -284,7 +295,7 @@ def simulate(
     solver: Solver = "springs5",
     rtol: Any = 1e-6,
     atol: Any = 1e-6,
-    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    stepsize_controller: "diffrax.AbstractStepSizeController | None" = None,
     max_steps: int = MAX_STEPS,
     derivatives: Derivatives = "forward",
     steps_for: StepsFor = "motion",

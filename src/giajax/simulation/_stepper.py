@@ -13,12 +13,11 @@ from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.programs import program
 from ..runtime.text import InputError
 from ..schema.parameters import is_concrete
-from ._controller import check_method
-from ._linearly_implicit import Solver, solver as solver_named
 from ._motion import Inputs, State, motion
 from ._return_mapping import with_return_mapping
 from ._signal import Signal, check_muscles, constant
 from ._simulate import slides
+from ._solvers import Solver, check_method, solver as solver_named
 
 
 class Moment(eqx.Module):
