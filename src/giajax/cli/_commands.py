@@ -23,7 +23,7 @@ from typer.core import TyperCommand, TyperGroup
 from ..runtime.files import check_path
 from ..runtime.plugins import load_plugin
 from ..runtime.process import CORES_VARIABLE, configure, is_stopped, stopped_status
-from ..runtime.text import InputError, __version__, abridged, error_in_words, shown, time_in_words
+from ..runtime.text import InputError, abridged, error_in_words, shown, time_in_words
 from ._values import number
 
 if TYPE_CHECKING:
@@ -307,12 +307,14 @@ def _ended(command: Any, arguments: list[str]) -> int:
 
 def _unexpected(error: BaseException, arguments: list[str]) -> str:
     """What no command expects, as a sentence, and its traceback in a file."""
+    from importlib.metadata import version
+
     what = f"internal error ({error_in_words(error)})"
     trace = "".join(traceback.format_exception(error))
     try:
         handle, path = tempfile.mkstemp(prefix="giajax-", suffix=".txt")
         with open(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
-            file.write(f"giajax {__version__} {shlex.join(arguments)}\n\n{trace}")
+            file.write(f"giajax {version('giajax')} {shlex.join(arguments)}\n\n{trace}")
     except OSError as full:
         print(trace, end="", file=sys.stderr)
         why = f"which cannot be written to a file ({full.strerror})"

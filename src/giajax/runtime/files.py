@@ -7,7 +7,6 @@ import re
 import secrets
 import stat
 import time
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -251,6 +250,8 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
     dotted = (part.count(".") for part in _BETWEEN_KEYS.split(skeleton))
     if _is_deep(skeleton) or any(dots >= DEPTH for dots in dotted):
         raise _too_deep(str(path))
+    import tomllib
+
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

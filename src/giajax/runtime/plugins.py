@@ -13,8 +13,6 @@ import re
 import sys
 import sysconfig
 from collections.abc import Callable, Iterable, Mapping
-from importlib import metadata
-from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -72,6 +70,8 @@ def name_of(cls: type) -> str:
 def registered(role: str, name: str) -> Any | None:
     """The class of a role and a name; None where there is none."""
     if (found := _CLASSES.get(role, {}).get(name)) is None:
+        from importlib import metadata  # slow to import, and seldom asked
+
         for entry in metadata.entry_points(
             group=f"giajax.{role}{'e' * role.endswith('s')}s", name=name
         ):
@@ -159,8 +159,10 @@ def source(module: str) -> tuple[str, str] | None:
         return None
     path = Path(path).resolve()
     if any(path.is_relative_to(sysconfig.get_path(name)) for name in ("purelib", "platlib")):
+        from importlib import metadata
+
         names = metadata.packages_distributions().get(package, ())
-        return (names[0], version(names[0])) if names else None
+        return (names[0], metadata.version(names[0])) if names else None
     digest = _PLUGINS.get(path) or hashlib.sha256(path.read_bytes()).hexdigest()
     return path.name, SUM + digest
 
@@ -235,13 +237,15 @@ def check_sources(versions: Mapping[str, str], said: str = "") -> None:
 
 def hint(versions: Mapping[str, str]) -> str:
     """What to give or install where these are of a result that cannot be loaded; may be empty."""
+    from importlib import metadata
+
     loaded = {Path(str(getattr(each, "__file__", ""))).name for each in sys.modules.values()}
     for name, text in versions.items():
         if text.startswith(SUM) and name not in loaded:
             return f" (it was made with {name}: give --plugin {name})"
         if not text.startswith(SUM) and name != "python":
             try:
-                version(name)
+                metadata.version(name)
             except metadata.PackageNotFoundError:
                 return f" (it was made with {name} {text}: install it)"
     return ""

@@ -5,7 +5,6 @@ import contextvars
 import functools
 import importlib
 import math
-import multiprocessing
 import os
 import signal
 import stat
@@ -169,6 +168,8 @@ def is_private(folder: Path) -> bool:
 
 def _note(sentence: str) -> None:
     """Say something on standard error, where this process is the command line's own."""
+    import multiprocessing  # slow to import, and most processes have nothing to say
+
     if _own_process and multiprocessing.parent_process() is None:
         print(f"giajax: {sentence}", file=sys.stderr)
 

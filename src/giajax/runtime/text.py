@@ -9,7 +9,6 @@ import re
 import textwrap
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from importlib.metadata import version
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 
@@ -222,7 +221,15 @@ def tried(what: str) -> Iterator[None]:
         raise InputError(f"{what} fails ({said}): correct it") from error
 
 
-__version__ = version("giajax")
+__version__: str
+
+
+def __getattr__(name: str) -> str:
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib.metadata import version  # slow to import, and seldom asked
+
+    return version("giajax")
 
 
 def keywords_listed(defaults: Mapping[str, Any] | None = None) -> Callable[[Function], Function]:
