@@ -181,7 +181,7 @@ def test_a_package_is_found_by_its_entry_point(monkeypatch):
     def entries(group, name):
         return [Entry()] if (group, name) == ("giajax.drags", "Packaged") else []
 
-    monkeypatch.setattr("giajax.runtime.plugins.metadata.entry_points", entries)
+    monkeypatch.setattr("importlib.metadata.entry_points", entries)
     assert registered("loss", "Packaged") is None
     assert registered("drag", "Packaged").__module__ == "law_package"
     assert registered("drag", "Other") is None

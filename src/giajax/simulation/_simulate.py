@@ -445,8 +445,9 @@ def _check(
             "give one column per joint"
         )
     check_wind(arm, wind)
-    if isinstance(controller, diffrax.StepTo) and is_concrete((times, controller.ts)):
-        ends = [[float(each[0]), float(each[-1])] for each in (controller.ts, times)]
+    given = getattr(controller, "ts", None)  # of a `diffrax.StepTo`
+    if given is not None and is_concrete((times, given)):
+        ends = [[float(each[0]), float(each[-1])] for each in (given, times)]
         if ends[0] != ends[1]:
             raise InputError(
                 f"StepTo is over {ends[0]} s, and the times over {ends[1]}: let both agree"
