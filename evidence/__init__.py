@@ -11,6 +11,7 @@ module with a `Study`, and a line in `STUDIES`.
 from ._bootstrap import BOOTSTRAP
 from ._coverage import COVERAGE
 from ._design import DESIGN
+from ._explained import EXPLAINED
 from ._influence import INFLUENCE
 from ._kills import KILLS
 from ._ladder import LADDER
@@ -39,6 +40,7 @@ _ALL = (
     KILLS,
     SUSPECTS,
     OMISSIONS,
+    EXPLAINED,
     RIGHT_MODELS,
     LADDER,
     LADDER_FRICTION,

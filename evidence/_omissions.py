@@ -197,6 +197,32 @@ CASES = {
     SINGLE: Case(drawn=1),
 }
 OMITTED = tuple(name for name in CASES if name != SINGLE)
+AND = " and "
+
+
+def case_of(name: str) -> Case:
+    """One of `CASES`, or all that several are at once, whose names are joined by `AND`."""
+    parts = [CASES[one] for one in name.split(AND)]
+    torques = [each.torque for each in parts if each.torque is not None]
+
+    def in_turn(name: str) -> Callable[[Array, Array], Array]:
+        steps = [getattr(each, name) for each in parts]
+        return lambda times, given: functools.reduce(lambda v, f: f(times, v), steps, given)
+
+    def torque(time: float, bent: Array, stiffness: Array) -> Array:
+        return sum((each(time, bent, stiffness) for each in torques), np.zeros(LINKS))
+
+    return Case(
+        named=tuple(path for each in parts for path in each.named),
+        arm={key: value for each in parts for key, value in each.arm.items()},
+        parameters={key: value for each in parts for key, value in each.parameters.items()},
+        command=in_turn("command"),
+        friction=sum(each.friction for each in parts),
+        torque=torque if torques else None,
+        stamp=lambda times: functools.reduce(lambda v, each: each.stamp(v), parts, times),
+        seen=in_turn("seen"),
+        drawn=max(each.drawn for each in parts),
+    )
 
 
 def run(size: int, seed: int, names: Sequence[str] = OMITTED) -> Figures:
@@ -212,24 +238,35 @@ def part(size: int, seed: int) -> Figures:
 def repeated(
     size: int, seed: int, names: Sequence[str], single: Callable[..., Figures]
 ) -> dict[str, list[Figures]]:
-    """What `single` finds in `size` recordings of each case and sensor set.
+    """What `single` finds in `size` recordings of each case and sensor set."""
+    cells = [(name, sensors) for name in names for sensors in SENSORS]
+    arguments = [
+        {"name": name, "sensors": sensors, "entropy": [seed, number]}
+        for number in range(size)
+        for name, sensors in cells
+    ]
+    found = kept(single, arguments, every=20)
+    return {
+        f"{name}; {sensors}": found[at :: len(cells)] for at, (name, sensors) in enumerate(cells)
+    }
 
-    Two processes share them, and each fit is kept until all of this commit are done: the studies
-    take hours, and the same command goes on where it was stopped.
+
+def kept(
+    single: Callable[..., Figures], arguments: Sequence[Mapping[str, Any]], every: int
+) -> list[Figures]:
+    """What `single` finds for each of these arguments, by this commit.
+
+    Two processes share them, and each is kept until all of this commit are done: the studies take
+    hours, and the same command goes on where it was stopped.
     """
     from giajax.runtime.execution import open_executor, run_tasks
     from giajax.runtime.tasks import Task
 
     code = commit()
-    cells = [(name, sensors) for name in names for sensors in SENSORS]
-    tasks = [
-        Task(single, {"name": name, "sensors": sensors, "entropy": [seed, number], "code": code})
-        for number in range(size)
-        for name, sensors in cells
-    ]
+    tasks = [Task(single, {**each, "code": code}) for each in arguments]
 
     def told(outcome: Any, done: int, count: int) -> None:
-        if done % 20 == 0 or outcome.status == "failed":
+        if done % every == 0 or outcome.status == "failed":
             print(f"{done} of {count}: {outcome.message or outcome.status}", flush=True)
 
     # What no commit holds cannot be gone on with: nothing says what it was.
@@ -238,10 +275,7 @@ def repeated(
         outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=told)
     if undone := [outcome for outcome in outcomes if outcome.status != "done"]:
         raise RuntimeError(f"{len(undone)} fits were not made: {undone[0].message}")
-    found = [outcome.value for outcome in outcomes]
-    return {
-        f"{name}; {sensors}": found[at :: len(cells)] for at, (name, sensors) in enumerate(cells)
-    }
+    return [outcome.value for outcome in outcomes]
 
 
 @functools.cache
@@ -254,7 +288,7 @@ def _motion(name: str) -> tuple[Array, Array, Array]:
     from giajax.simulation import ramps
     from peers.mujoco_air import MujocoInAir
 
-    case = CASES[name]
+    case = case_of(name)
     fine = np.arange(round((END + 1) / STEP) + 1) * STEP
     commanded = np.zeros((len(fine), LINKS))
     for joint, degrees in ANGLES_DEG.items():
@@ -289,17 +323,23 @@ def _motion(name: str) -> tuple[Array, Array, Array]:
     return fine, commanded, np.concatenate([centres[:, links], tips[:, None]], axis=1)
 
 
-def recorded(name: str, sensors: str, entropy: list[int]) -> tuple["Run", dict[str, float]]:
-    """A recording with noise of its own, by seed and number, and the truth."""
+def recorded(
+    name: str, sensors: str, entropy: list[int], **arm: Any
+) -> tuple["Run", dict[str, float]]:
+    """A recording with noise of its own, by seed and number, and the truth.
+
+    What it says of its arm is the number of links and `arm`.
+    """
     from scipy.interpolate import CubicSpline
 
     import giajax
 
     fine, commanded, positions = _motion(name)
-    case, (axes, noise) = CASES[name], SENSORS[sensors]
+    case, (axes, noise) = case_of(name), SENSORS[sensors]
     stamps = np.arange(round(END / EVERY) + 1) * EVERY
     seed, number = entropy
-    places = [seed, list(CASES).index(name), list(SENSORS).index(sensors), number]
+    cases = [list(CASES).index(one) for one in name.split(AND)]
+    places = [seed, *cases, list(SENSORS).index(sensors), number]
     random, values, truth = np.random.default_rng(places), {}, dict(TRUTH)
     late, rate, scale, width = _of_device(case.drawn, random, number)
     # Drag is C_D times the width: of a wider arm with as much drag, C_D is smaller.
@@ -318,7 +358,7 @@ def recorded(name: str, sensors: str, entropy: list[int]) -> tuple["Run", dict[s
     rows = np.round(stamps / STEP).astype(int)
     for joint in ANGLES_DEG:
         values[f"joint{joint:02d}_command"] = commanded[rows, joint - 1]
-    model = {"model": "arm", "arm": {"links": LINKS}, "noise": {"position_m": noise}}
+    model = {"model": "arm", "arm": {"links": LINKS, **arm}, "noise": {"position_m": noise}}
     return giajax.Run.from_arrays(stamps, values, name="omission", definition=model), truth
 
 
