@@ -7,14 +7,14 @@ import types
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from curves import NOISE, TRUTH, OwnHeights, curve, recorded
+from curves import NOISE, TRUTH, Curve, OwnHeights, curve, recorded
 
 from giajax import InputError, Run, fit, predict, replace, suspects, write_result
 from giajax.fitting import Response
 from giajax.report import residuals_figure, summary, suspect_rows
 from giajax.runtime.arrays import Scalar
 from giajax.schema.parameters import parameter
-from giajax.studies import inquiry, is_disturbed, linearised, with_suspects
+from giajax.studies import explain, inquiry, is_disturbed, linearised, with_suspects
 from giajax.studies._columns import chi_square_of, points_row
 from toy_model import Decay, run
 
@@ -107,7 +107,7 @@ def test_swapped_axes_are_found_from_where_the_fit_began():
     first = found.promising[0]
     assert (first.path, first.kind) == ("axes: y and z swapped", "axes")
     assert first.p_value < 1e-6
-    assert first.note == "with the values that the fit began with"
+    assert first.begun
     # Nothing of the sort where they are right, nor of one coordinate, which has a sign alone.
     for right in recording, recorded(channels=("tip_z",)):
         found = suspects(fitted(right), right)
@@ -394,3 +394,37 @@ def test_a_wrong_model_is_no_exchange_of_points():
         plain = types.SimpleNamespace(values=502, parameters=4)
         rows = points_row([recording], at, factors, squares, plain)
         assert [row.path for row in rows] == said
+
+
+class Fragile(Curve):
+    """A curve that cannot be evaluated where its amplitude is beyond 10."""
+
+    def predict(self, inputs, channels):
+        predicted, finite = super().predict(inputs, channels)
+        return predicted, finite & (self.amplitude < 10)
+
+
+def test_a_fit_that_went_astray_is_asked_where_it_began():
+    recording = recorded(late=0.2)
+    model = replace(Fragile(weights=jnp.ones(2)), TRUTH)
+    begin = {"amplitude": 1.5, "decay": 0.9}
+    options = {"noise_model": "white", "max_iterations": 1}
+    result = fit(model, recording, free=FREE, start=begin, check=False, **options)
+    assert result.status == "not_converged"
+    away = {"amplitude": dataclasses.replace(result.parameters["amplitude"], value=11.0)}
+    lost = dataclasses.replace(
+        result,
+        model=replace(result.model, {"amplitude": 11.0}),
+        parameters={**result.parameters, **away},
+    )
+    found = suspects(lost, recording)
+    first = found.significant[0]
+    assert (first.path, first.begun, first.moves) == ("late", True, {})
+    assert any("the fit began with" in row[-1] for row in suspect_rows(found))
+    # What is fitted from there begins where the fit did.
+    last = explain(lost, recording).result
+    assert last.status == "converged"
+    assert last.parameters["late"].value == pytest.approx(0.2, abs=0.05)
+    # One that converged says where it cannot be evaluated.
+    with pytest.raises(InputError, match="cannot be evaluated"):
+        suspects(dataclasses.replace(lost, status="converged"), recording)

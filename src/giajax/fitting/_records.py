@@ -64,7 +64,9 @@ class Suspect:
         explained_by: the suspect that it is in the group of, or that leaves little of it.
         note: why it is not testable, or what a reader must know; may be empty.
         moves: by how many of their standard errors the step moves fitted parameters, by path; of
-            parameters that are significant.
+            parameters that are significant; nothing where it was tested where the fit began.
+        begun: whether it was tested with the values that the fit began with, because those where
+            it ended may have gone astray.
     """
 
     path: str
@@ -82,6 +84,7 @@ class Suspect:
     moves: dict[str, float] = dataclasses.field(default_factory=dict)
     together: tuple[str, ...] = ()
     explained_by: str = ""
+    begun: bool = False
 
 
 @dataclasses.dataclass(frozen=True)

@@ -61,6 +61,8 @@ def _cells(row: Suspect) -> list[str]:
     else:
         shown = format_estimate(estimate, error if isinstance(error, float) else None)
     remarks = [row.note] if row.note else []
+    if row.begun:
+        remarks.append("with the values that the fit began with")
     if others := dict.fromkeys([*row.alike, *row.together]):
         remarks.append(f"the data can hardly tell it from {', '.join(others)}")
     if row.kind == "switch" and estimate is not None:

@@ -51,14 +51,14 @@ def mistaken_rows(
         first = replace(result.model, result.history[0].parameters)
         ties = resolved_ties(first, result.config.get("ties", {}))
         points.append([tied(first, ties)] * len(runs))
-    begun = with_fitted_states(result, runs)
+    starting = with_fitted_states(result, runs)
     channels = [_asked_of(run, asked) for run in runs]
     simulated = _simulated(asked)
-    best: dict[SuspectKind, tuple[float, str, str]] = {}
+    best: dict[SuspectKind, tuple[float, str, bool]] = {}
     for number, models in enumerate(points if asked else []):
         # The same channels each time: one program.
         predicted = functools.partial(_predicted, models, channels=channels)
-        as_they_are = predicted(begun)
+        as_they_are = predicted(starting)
         columns = [
             np.stack([of_run[name] for name in response.channels], axis=-1)
             for of_run, response in zip(as_they_are, at, strict=True)
@@ -71,7 +71,7 @@ def mistaken_rows(
                 if not last or mistake.name not in simulated:
                     continue
                 try:
-                    whole = predicted([mistake.undone(run) for run in begun])
+                    whole = predicted([mistake.undone(run) for run in starting])
                 except InputError:  # No arm can follow them, which is no mistake then.
                     continue
             seen = [
@@ -83,17 +83,16 @@ def mistaken_rows(
             if kind == "columns" and other > most:
                 continue
             if np.isfinite(other) and other < best.get(kind, (np.inf,))[0]:
-                note = "with the values that the fit began with" if number else ""
-                best[kind] = other, mistake.name, note
+                best[kind] = other, mistake.name, number > 0
     rows = []
-    for kind, (other, name, note) in best.items():
+    for kind, (other, name, begun) in best.items():
         drop = chi_square - other
         if drop <= 0:
             continue
         # Of two models without anything free, a likelihood ratio of 1/c has a probability below c.
         scale = max(1.0, other / max(rest.values - rest.parameters, 1))
         p_value = float(min(1.0, np.exp(-drop / scale / 2)))
-        rows.append(_row_of(name, kind, drop, p_value, note))
+        rows.append(_row_of(name, kind, drop, p_value, begun=begun))
     commands = sum(each.kind == "commands" for each in asked)
     return rows, len(asked) - commands + len(simulated)
 
@@ -137,7 +136,15 @@ def _seen_with(
     return np.stack([times * predicted[name] for name, times in of], axis=-1)
 
 
-def _row_of(path: str, kind: SuspectKind, drop: float, p_value: float, note: str) -> Suspect:
+def _row_of(
+    path: str,
+    kind: SuspectKind,
+    drop: float,
+    p_value: float,
+    note: str = "",
+    *,
+    begun: bool = False,
+) -> Suspect:
     """A row of something that is so or not, with nothing to estimate."""
     return Suspect(
         path=path,
@@ -151,6 +158,7 @@ def _row_of(path: str, kind: SuspectKind, drop: float, p_value: float, note: str
         p_value=p_value,
         testable=True,
         note=note,
+        begun=begun,
     )
 
 

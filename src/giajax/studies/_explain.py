@@ -292,7 +292,11 @@ def explain(
     try:
         if result.status == "interrupted":
             raise KeyboardInterrupt
-        begun = kept.refit("the first model", partly, fitted)
+        try:
+            begun = kept.refit("the first model", partly, fitted)
+        except InputError:  # It cannot be evaluated where the fit ended.
+            start = result.history[0].parameters if result.history else {}
+            begun = kept.refit("the first model from its start", partly, fitted, start=start)
         first = Measured.of(begun, fitted, apart)
         outliers = sum(int(np.sum(found)) for found in outlying(first.at))
         if outliers and result.loss.is_linear:

@@ -67,6 +67,25 @@ def models_of_runs(result: FitResult) -> list[AbstractModel]:
     ]
 
 
+def as_begun(result: FitResult) -> FitResult | None:
+    """The result as if it had ended where it began; None where that is not known.
+
+    That is where runs have values of their own, of which the history has no models.
+    """
+    if not result.history or any(varied_values(result)):
+        return None
+    values = {
+        path: value for path, value in result.history[0].parameters.items() if path in result.free
+    }
+    model = replace(result.model, values)
+    parameters = {
+        path: dataclasses.replace(estimate, value=values.get(path, estimate.value))
+        for path, estimate in result.parameters.items()
+    }
+    ties = resolved_ties(model, result.config.get("ties", {}))
+    return dataclasses.replace(result, model=tied(model, ties), parameters=parameters)
+
+
 def responses_of(
     result: FitResult,
     runs: Sequence[Run],

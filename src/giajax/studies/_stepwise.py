@@ -274,6 +274,7 @@ def _with(
 ) -> tuple[FitResult, list[Run], list[Run]]:
     """A fit with what a suspect asks for, and the runs and those held out as it sees them."""
     same, again = (list(runs), list(apart)), functools.partial(fits.refit, suspect.path, result)
+    begin: dict[str, Any] = dict(result.history[0].parameters) if suspect.begun else {}
     if suspect.kind == "prior":
         return again(runs, priors={suspect.path: None}), *same
     if suspect.kind == "switch":
@@ -281,7 +282,7 @@ def _with(
         # What a number switches on, as its strength does memory, has that number free.
         by = suspect.path.partition(" = ")[0]
         free = [by] if by in declared(other) else []
-        return again(runs, model=other, free=free), *same
+        return again(runs, model=other, free=free, start=begin), *same
     if suspect.kind in ("axes", "columns"):
         mistake = next(
             each for each in mistakes_of(result.model, runs) if each.name == suspect.path
@@ -296,9 +297,9 @@ def _with(
         size = float(np.max(np.asarray(suspect.estimate)))
         known = {each.path: float(each.value(model)) for each in elements(model, suspect.path)}
         priors = {path: PriorEntry(value=one, deviation=size) for path, one in known.items()}
-        return again(runs, model=model, free=list(priors), priors=priors), *same
+        return again(runs, model=model, free=list(priors), priors=priors, start=begin), *same
     assert suspect.estimate is not None
-    begin = {suspect.path: suspect.estimate}
+    begin[suspect.path] = suspect.estimate
     return again(runs, model=model, free=[suspect.path], start=begin), *same
 
 

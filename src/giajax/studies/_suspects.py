@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -29,6 +30,7 @@ from ._score import (
     Score,
     alike,
     among_memory,
+    as_begun,
     basis_of,
     cell_factors,
     drop_beyond,
@@ -370,6 +372,11 @@ def suspects(
     - **Points** that are exchanged, show another one or stand still in some of the rows, likewise.
     - **Outliers**, which are cells that differ from both of their neighbours.
 
+    A fit that did not converge, or ended far from what is known of a parameter, may have gone
+    where nothing acts any more, or the model cannot be evaluated. All of it is asked where the fit
+    began, too, and the rows are those of where chance explains the first one least
+    (`Suspect.begun`).
+
     Missing physics is no noise, so the table is in the order of the drop of chi-square (less what
     as many random columns would take from residuals of this size), with the white noise that the
     runs state, or else that of second differences of the residuals. The p-values are those of the
@@ -391,6 +398,37 @@ def suspects(
         'camera.delay'
     """
     runs = matching_runs(result.runs, runs)
+    asked = functools.partial(_asked, runs=runs, each=each, parameters_alone=parameters_alone)
+    begun = as_begun(result) if _is_astray(result) else None
+    if begun is None:
+        return asked(result)
+    ends: dict[bool, Suspects] = {}
+    for at_start, end in ((False, result), (True, begun)):
+        try:
+            ends[at_start] = asked(end)
+        except InputError:
+            if at_start and not ends:
+                raise
+    at_start = min(ends, key=lambda which: _least_p_value(ends[which]))
+    if not at_start:
+        return ends[at_start]
+    rows = (dataclasses.replace(row, begun=True, moves={}) for row in ends[at_start].rows)
+    return dataclasses.replace(ends[at_start], rows=tuple(rows))
+
+
+def _least_p_value(found: Suspects) -> float:
+    return min((row.p_value or 0.0 for row in found.significant), default=1.0)
+
+
+def _is_astray(result: FitResult) -> bool:
+    """Whether a fit may have ended where what is missing does not show."""
+    reasons = {reason.code for reason in result.verdict.reasons}
+    return result.status != "converged" or "prior" in reasons
+
+
+def _asked(
+    result: FitResult, runs: Sequence[Run], each: Sequence[str], parameters_alone: bool
+) -> Suspects:
     free = {path.partition("[")[0] for path in result.free}
     scattering = [] if parameters_alone else list(capabilities.scattering(result.model))
     scattering = [path for path in scattering if path not in {*each, *free}]
