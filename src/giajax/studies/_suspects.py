@@ -1,6 +1,5 @@
 """Suspects: a test of everything that a fit held, switched off or left out."""
 
-import contextlib
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,8 @@ from ..fitting import (
 from ..models import AbstractModel, capabilities
 from ..noise import SUSPECT_LEVEL, Reason, Verdict, robust_deviation
 from ..recordings import Run
+from ..runtime.parallel import Tell, run_in_threads
+from ..runtime.process import cores, stop_if_asked
 from ..runtime.records import json_text
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import declared, get
@@ -636,26 +637,41 @@ def _switches(
 
     Not of every one, but of those that say otherwise why a nuisance is not what it usually is.
     """
-    changes: dict[str, list[np.ndarray]] = {}
     if not (every or result.nuisances):
-        return changes
+        return {}
     free = {direction.path for direction in asked.free}
-    base: list[Response] | None = None
+    asked_of: dict[str, AbstractModel] = {
+        name: variant
+        for name, variant in capabilities.variants(result.model).items()
+        if free <= set(declared(variant)) and (every or _explains(result, variant))
+    }
+    if not asked_of:
+        return {}
 
-    def predicted(model: AbstractModel, variant: str | None = None) -> list[Response]:
+    def predicted(name: str | None, tell: Tell) -> list[Response]:
+        tell(stop_if_asked)
+        model = result.model if name is None else asked_of[name]
         # With the steps of the integrator that the columns have.
         paths = [one.direction.path for one in asked.candidates]
         stepped = capabilities.for_derivatives(model, paths)
-        return responses_of(result, runs, stepped, variant=variant)
+        try:
+            return responses_of(result, runs, stepped, variant=name)
+        except InputError:
+            if name is None:
+                raise
+            return []  # It may be none that can be evaluated with these values.
 
-    for name, variant in capabilities.variants(result.model).items():
-        if free <= set(declared(variant)) and (every or _explains(result, variant)):
-            base = base or predicted(result.model)
-            # One may be none that can be evaluated with these values.
-            with contextlib.suppress(InputError):
-                pairs = zip(predicted(variant, name), base, strict=True)
-                changes[name] = [other.predicted - one.predicted for other, one in pairs]
-    return changes
+    # Each is a program of its own, and two are compiled at once.
+    jobs = [functools.partial(predicted, name) for name in (None, *asked_of)]
+    found = run_in_threads(jobs, cores(), until=lambda _: False)
+    if None in found:  # It did not begin.
+        raise KeyboardInterrupt
+    base, *others = (each for each in found if each is not None)
+    return {
+        name: [one.predicted - of.predicted for one, of in zip(other, base, strict=True)]
+        for name, other in zip(asked_of, others, strict=True)
+        if other
+    }
 
 
 _SURELY = 3.0  # standard errors from which on a nuisance is sure to be there
