@@ -197,7 +197,7 @@ CASES = {
     SINGLE: Case(drawn=1),
 }
 OMITTED = tuple(name for name in CASES if name != SINGLE)
-AND = " and "
+AND = " + "
 
 
 def case_of(name: str) -> Case:
@@ -205,8 +205,8 @@ def case_of(name: str) -> Case:
     parts = [CASES[one] for one in name.split(AND)]
     torques = [each.torque for each in parts if each.torque is not None]
 
-    def in_turn(name: str) -> Callable[[Array, Array], Array]:
-        steps = [getattr(each, name) for each in parts]
+    def in_turn(which: str) -> Callable[[Array, Array], Array]:
+        steps = [getattr(each, which) for each in parts]
         return lambda times, given: functools.reduce(lambda v, f: f(times, v), steps, given)
 
     def torque(time: float, bent: Array, stiffness: Array) -> Array:

@@ -181,7 +181,7 @@ def test_what_lies_beside_a_result_is_read(tmp_path, monkeypatch):
     assert drawn.is_of(result)
     assert json.loads(drawn.to_json()) == record("fit/posterior.json")
     suspected = load_result("suspected.json")
-    new = {"moves": {}, "together": [], "explained_by": ""}
+    new = {"moves": {}, "together": [], "explained_by": "", "begun": False}
     rows = [{**row, **new} for row in record("suspected.json")["suspects"]]
     assert json.loads(suspected.to_json())["suspects"] == rows
     assert suspected.suspects

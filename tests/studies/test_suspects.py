@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import signal
+import time
 import types
 
 import jax.numpy as jnp
@@ -396,6 +398,32 @@ def test_a_wrong_model_is_no_exchange_of_points():
         assert [row.path for row in rows] == said
 
 
+class Interrupted(Curve):
+    """A curve, of which one choice asks for Ctrl-C while it is looked at."""
+
+    def variants(self):
+        return {
+            "one": Stopping(**{f.name: getattr(self, f.name) for f in dataclasses.fields(self)})
+        }
+
+
+class Stopping(Curve):
+    def predict(self, inputs, channels):
+        signal.raise_signal(signal.SIGINT)
+        time.sleep(0.1)
+        return super().predict(inputs, channels)
+
+
+@pytest.mark.parametrize("cores", ["1", "2"])
+def test_ctrl_c_while_choices_are_looked_at_ends_it(cores, monkeypatch):
+    monkeypatch.setenv("GIAJAX_CORES", cores)
+    recording = recorded(seed=7)
+    model = replace(Interrupted(weights=jnp.ones(2)), TRUTH)
+    result = fit(model, recording, free=FREE, check=False, noise_model="white")
+    with pytest.raises(KeyboardInterrupt):
+        suspects(result, recording)
+
+
 class Fragile(Curve):
     """A curve that cannot be evaluated where its amplitude is beyond 10."""
 
@@ -421,6 +449,8 @@ def test_a_fit_that_went_astray_is_asked_where_it_began():
     first = found.significant[0]
     assert (first.path, first.begun, first.moves) == ("late", True, {})
     assert any("the fit began with" in row[-1] for row in suspect_rows(found))
+    # Of a fit that cannot be evaluated where it ended, nothing is said of how much it leaves.
+    assert found.judge(lost).reasons == lost.verdict.reasons
     # What is fitted from there begins where the fit did.
     last = explain(lost, recording).result
     assert last.status == "converged"

@@ -445,17 +445,23 @@ def _check(
             "give one column per joint"
         )
     check_wind(arm, wind)
-    given = getattr(controller, "ts", None)  # of a `diffrax.StepTo`
-    if given is not None and is_concrete((times, given)):
-        ends = [[float(each[0]), float(each[-1])] for each in (given, times)]
-        if ends[0] != ends[1]:
-            raise InputError(
-                f"StepTo is over {ends[0]} s, and the times over {ends[1]}: let both agree"
-            )
+    if controller is not None:
+        _check_steps(controller, times)
     if times.ndim != 1 or times.shape[0] < 2:
         raise InputError(f"times has shape {times.shape}: give at least two times in one row")
     if is_concrete(times) and not np.all(np.diff(np.asarray(times)) > 0):
         raise InputError("the times do not increase strictly: sort them and drop doubles")
+
+
+def _check_steps(controller: Any, times: Array) -> None:
+    import diffrax
+
+    if isinstance(controller, diffrax.StepTo) and is_concrete((times, controller.ts)):
+        ends = [[float(each[0]), float(each[-1])] for each in (controller.ts, times)]
+        if ends[0] != ends[1]:
+            raise InputError(
+                f"StepTo is over {ends[0]} s, and the times over {ends[1]}: let both agree"
+            )
 
 
 def check_wind(arm: Arm, wind: Signal | None) -> None:

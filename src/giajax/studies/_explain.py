@@ -295,7 +295,9 @@ def explain(
         try:
             begun = kept.refit("the first model", partly, fitted)
         except InputError:  # It cannot be evaluated where the fit ended.
-            start = result.history[0].parameters if result.history else {}
+            if not result.history:
+                raise
+            start = result.history[0].parameters
             begun = kept.refit("the first model from its start", partly, fitted, start=start)
         first = Measured.of(begun, fitted, apart)
         outliers = sum(int(np.sum(found)) for found in outlying(first.at))

@@ -70,9 +70,9 @@ def models_of_runs(result: FitResult) -> list[AbstractModel]:
 def as_begun(result: FitResult) -> FitResult | None:
     """The result as if it had ended where it began; None where that is not known.
 
-    That is where runs have values of their own, of which the history has no models.
+    That is where runs have values of their own, whose starts the history does not have.
     """
-    if not result.history or any(varied_values(result)):
+    if not result.history or any(record.parameters for record in result.runs):
         return None
     values = {
         path: value for path, value in result.history[0].parameters.items() if path in result.free

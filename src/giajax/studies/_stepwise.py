@@ -337,10 +337,11 @@ def ladder(
     """Fit the most promising suspect, ask again, and so on.
 
     A parameter is freed, a choice of the model is made the other way, and recorded axes are
-    exchanged; each fit begins where the last one ended. What was freed before and has come
-    back to the value that it was held at is held again. It ends where no suspect is significant,
-    or where what is tried makes BIC larger. A suspect that is one number for many elements
-    (the mass of all links) is no single parameter of a fit, and is passed over.
+    exchanged; each fit begins where the last one ended, or began, if its suspects are of there.
+    What was freed before and has come back to the value that it was held at is held again. It ends
+    where no suspect is significant, or where what is tried makes BIC larger. A suspect that is one
+    number for many elements (the mass of all links) is no single parameter of a fit, and is passed
+    over.
 
     What a test promises is the first step of a fit. So many of the first suspects as `tries` says
     are fitted at each step, each by itself, and the one whose fit has the lowest BIC is taken; with
@@ -419,7 +420,8 @@ class Climb:
         """Ask, fit, take the best and drop what it makes superfluous; whether this is the end.
 
         What is fitted is the first of the significant suspects, or of what is `chosen`, from where
-        the last fit ended, or where another of the same parameters, of its own runs, did.
+        the last fit ended, or where another of the same parameters, of its own runs, did; from
+        where it began, if the suspects are of there.
         """
         result, runs = begin or (self.last.result, self.runs)
         self.asked[-1] = found = self.fits.suspects(result, runs)

@@ -76,7 +76,8 @@ class Suspects:
 
     Attributes:
         rows: all tests; those that are testable first, the largest drop of chi-square at the top.
-        chi_square: sum of squared residuals of the fit, in units of white noise.
+        chi_square: sum of squared residuals of the fit, in units of white noise; where it cannot
+            be evaluated where it ended, of where it began.
         values: number of measured values.
         parameters: number of fitted parameters.
         asked: how many tests the p-values are corrected for.
@@ -123,6 +124,8 @@ class Suspects:
         """
         verdict = result.verdict.without("suspect").without(UNEXPLAINED)
         if verdict.status == "inadequate":
+            if any(row.begun for row in self.significant):
+                return verdict
             before = self.chi_square / max(self.values - self.parameters, 1) - 1
             # What a step to the first order leaves of something large is none of this.
             if self.left_over < _EXPLAINED or self.left_over**2 - 1 < _SECOND_ORDER * before:
@@ -374,9 +377,9 @@ def suspects(
     - **Outliers**, which are cells that differ from both of their neighbours.
 
     A fit that did not converge, or ended far from what is known of a parameter, may have gone
-    where nothing acts any more, or the model cannot be evaluated. All of it is asked where the fit
-    began, too, and the rows are those of where chance explains the first one least
-    (`Suspect.begun`).
+    where nothing acts any more, or where the model cannot be evaluated. Where nothing explains most
+    of what it leaves, all of it is asked where the fit began, too, and the rows are those of where
+    chance explains the surest one less (`Suspect.begun`).
 
     Missing physics is no noise, so the table is in the order of the drop of chi-square (less what
     as many random columns would take from residuals of this size), with the white noise that the
@@ -403,18 +406,38 @@ def suspects(
     begun = as_begun(result) if _is_astray(result) else None
     if begun is None:
         return asked(result)
-    ends: dict[bool, Suspects] = {}
-    for at_start, end in ((False, result), (True, begun)):
-        try:
-            ends[at_start] = asked(end)
-        except InputError:
-            if at_start and not ends:
-                raise
-    at_start = min(ends, key=lambda which: _least_p_value(ends[which]))
-    if not at_start:
-        return ends[at_start]
-    rows = (dataclasses.replace(row, begun=True, moves={}) for row in ends[at_start].rows)
-    return dataclasses.replace(ends[at_start], rows=tuple(rows))
+    at_end: Suspects | None = None
+    failure: InputError | None = None
+    try:
+        at_end = asked(result)
+    except InputError as error:
+        failure = error
+    if at_end is not None and at_end.left_over < _STILL_WILD:
+        return at_end
+    try:
+        at_start = asked(begun)
+    except InputError as error:
+        if at_end is None:
+            raise failure or error from None
+        return at_end
+    if at_end is not None and _TABLES * _least_p_value(at_start) >= _least_p_value(at_end):
+        return at_end
+    # Of two tables, the better one.
+    rows = [
+        dataclasses.replace(
+            row,
+            begun=True,
+            moves={},
+            p_value=None if row.p_value is None else min(_TABLES * row.p_value, 1.0),
+        )
+        for row in at_start.rows
+    ]
+    whole = at_start if at_end is None else at_end
+    return dataclasses.replace(whole, rows=tuple(rows), asked=_TABLES * at_start.asked)
+
+
+_STILL_WILD = 3.0  # times the noise, that residuals are with the best suspects in
+_TABLES = 2
 
 
 def _least_p_value(found: Suspects) -> float:
@@ -423,8 +446,9 @@ def _least_p_value(found: Suspects) -> float:
 
 def _is_astray(result: FitResult) -> bool:
     """Whether a fit may have ended where what is missing does not show."""
-    reasons = {reason.code for reason in result.verdict.reasons}
-    return result.status != "converged" or "prior" in reasons
+    verdict = result.verdict
+    far = result.status != "converged" or "prior" in {reason.code for reason in verdict.reasons}
+    return far and verdict.status == "inadequate"
 
 
 def _asked(
@@ -655,15 +679,17 @@ def _switches(
         paths = [one.direction.path for one in asked.candidates]
         stepped = capabilities.for_derivatives(model, paths)
         try:
-            return responses_of(result, runs, stepped, variant=name)
+            found = responses_of(result, runs, stepped, variant=name)
         except InputError:
             if name is None:
                 raise
-            return []  # It may be none that can be evaluated with these values.
+            found = []  # It may be none that can be evaluated with these values.
+        tell(stop_if_asked)  # Ctrl-C may have come meanwhile.
+        return found
 
     # Each is a program of its own, and two are compiled at once.
     jobs = [functools.partial(predicted, name) for name in (None, *asked_of)]
-    found = run_in_threads(jobs, cores(), until=lambda _: False)
+    found = run_in_threads(jobs, min(cores(), len(jobs)), until=lambda _: False)
     if None in found:  # It did not begin.
         raise KeyboardInterrupt
     base, *others = (each for each in found if each is not None)
