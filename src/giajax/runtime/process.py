@@ -148,7 +148,7 @@ def configure() -> None:
     if stated:
         return
     jax.config.update("jax_compilation_cache_dir", str(directory))
-    # JAX leaves out what compiles in less than a second: of a short command that is all, in hundreds
+    # JAX leaves out what compiles within a second: of a short command all of it, which is hundreds
     # of programs of an operation each.
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_SECONDS)
