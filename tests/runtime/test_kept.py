@@ -1,5 +1,7 @@
 """Programs kept between processes: traced once, and never in place of another program."""
 
+from pathlib import Path
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -11,6 +13,7 @@ from giajax.runtime.programs import (
     CachedProgram,
     NoStructureError,
     cache_programs,
+    forget_programs_if_many,
     program,
     structure,
 )
@@ -96,6 +99,29 @@ def test_a_program_of_the_package_is_kept(folder):
         jax.jit(lambda x: program(pulled, like=as_pulled)(SPRING, x)[1])(ANGLE), force
     )
     assert TRACED == [1, 1]
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="no list of maps")
+def test_many_programs_are_forgotten_before_the_memory_has_no_more_maps(folder):
+    def maps():
+        return Path("/proc/self/maps").read_bytes().count(b"\n")
+
+    forget_programs_if_many(0)
+    before = maps()
+    ours = program(pulled, like=as_pulled)
+    for size in range(1, 30):
+        jax.jit(lambda x: jax.numpy.sin(x) + 1)(np.zeros(size))
+        ours(SPRING, np.zeros(size))
+    assert len(TRACED) == 29
+    full = maps()
+    forget_programs_if_many(full + 1)  # not so many
+    assert maps() > before + (full - before) / 2
+    forget_programs_if_many(0)
+    assert maps() < before + (full - before) / 2
+    # What was kept is read again, and what was not is compiled again.
+    assert_array_equal(ours(SPRING, ANGLE)[1], [2.0, 4.0, 6.0])
+    ours(SPRING, np.zeros(7))
+    assert len(TRACED) == 29
 
 
 def test_nothing_is_kept_where_jax_is_to_look_into_programs(folder):

@@ -72,6 +72,9 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
         get_ready(own)
     if folder is not None and (known := read_outcome(folder, task.key)) is not None:
         return known
+    from .programs import forget_programs_if_many  # not before the process is ready for JAX
+
+    forget_programs_if_many()
     began = time.perf_counter()
     value, message = None, ""
     try:

@@ -5,11 +5,13 @@ import copyreg
 import dataclasses
 import enum
 import functools
+import gc
 import hashlib
 import operator
 import os
 import sys
 import tempfile
+import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from importlib.resources import files
@@ -258,6 +260,30 @@ _folder: Path | None = None
 
 Call = Callable[..., Any]
 
+_in_use: "weakref.WeakSet[CachedProgram]" = weakref.WeakSet()
+
+# Each compiled program maps memory, and Linux lets a process have 65,530 maps: beyond them the
+# compiler fails, and the process with it.
+_MAPS = Path("/proc/self/maps")
+_MOST_MAPS = 30_000
+
+
+def forget_programs_if_many(most: int = _MOST_MAPS) -> None:
+    """Drop this process's compiled programs where they have mapped more memory than so many times.
+
+    What is needed again is compiled again, or read from the cache. For what makes many different
+    fits in one process; to be called between two.
+    """
+    try:
+        count = _MAPS.read_bytes().count(b"\n")
+    except OSError:  # of another system
+        return
+    if count > most:
+        for kept in _in_use:
+            kept.forget()
+        jax.clear_caches()
+        gc.collect()
+
 
 def cache_programs(folder: Path) -> None:
     """From now on, keep programs in a folder, and use those that are there.
@@ -282,6 +308,11 @@ class CachedProgram:
     def __init__(self, function: Call, like: Call, options: dict[str, Any]) -> None:
         self._function, self._like, self._options = function, like, options
         self._calls: dict[str, Call | None] = {}
+        _in_use.add(self)
+
+    def forget(self) -> None:
+        """Drop what is loaded; what is kept on disk stays."""
+        self._calls.clear()
 
     def ready(self, args: tuple[Any, ...]) -> Call | None:
         """What computes the function for arguments like these; None if it cannot be kept."""

@@ -12,6 +12,7 @@ from ..fitting import FitResult, Response, Suspect, in_full, matching_runs
 from ..models import AbstractModel, capabilities
 from ..recordings import PriorEntry, Run
 from ..runtime.aliases import warn_of_name
+from ..runtime.programs import forget_programs_if_many
 from ..runtime.text import InputError
 from ..schema.parameters import declared, elements, left_out
 from ._columns import mistakes_of
@@ -190,10 +191,12 @@ class Fits(AbstractFits):
 
     def suspects(self, result: FitResult, runs: Sequence[Run]) -> Suspects:
         """As of `suspects`."""
+        forget_programs_if_many()
         return suspects(result, runs)
 
     def refit(self, name: str, result: FitResult, runs: Sequence[Run], **changed: Any) -> FitResult:
         """As of `refit`."""
+        forget_programs_if_many()
         return refit(result, runs, **{"noise_model": "white", **changed})
 
 

@@ -1,8 +1,10 @@
 """A mission: an arm, who drives it, an opening to go through, and what came of it."""
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple, Self
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -112,7 +114,26 @@ class _Now(NamedTuple):
     inside: Scalar
 
 
-@program
+def _rows_like(
+    arm: Arm, drawn: Arm, camera: Pinhole, operator: Operator, task: Task, wind: Any, error: Any,
+    late: int,
+) -> Rows:  # fmt: skip
+    """Rows as of `flight`, without flying."""
+    del drawn, camera, operator, late
+
+    def first(arm: Arm, task: Task, wind: Array) -> Rows:
+        moment = Stepper(arm, task.interval, tolerance=task.tolerance).start(wind=wind[0])
+        tip, shown = tip_position(arm, moment.angles), jnp.sum(jnp.zeros(4, dtype=bool))
+        rest = moment.command, tip, tip, shown, jnp.zeros_like(moment.angles), task.interval
+        return Rows(moment.time, moment.state, *rest)
+
+    return jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct((len(error), *leaf.shape), leaf.dtype),
+        eqx.filter_eval_shape(first, arm, task, wind),
+    )
+
+
+@functools.partial(program, like=_rows_like)
 def flight(
     arm: Arm,
     drawn: Arm,
@@ -121,7 +142,6 @@ def flight(
     task: Task,
     wind: Float[Array, "row width"],
     error: Float[Array, "row 4 2"],
-    *,
     late: int,
 ) -> Rows:
     """A mission until its end; rows after that are as the last one.
@@ -427,10 +447,10 @@ class Mission:
             (self if drawn is None else drawn).model.arm,
             self.camera,
             self.operator,
-            Task(self.opening, *map(jnp.asarray, numbers)),
+            Task(self.opening, *jnp.asarray(numbers, jnp.result_type(float))),
             jnp.asarray(wind),
             jnp.asarray(error),
-            late=round(section.operator.latency_s / _INTERVAL),
+            round(section.operator.latency_s / _INTERVAL),
         )
         return outcome_of(self, rows, wind)
 
