@@ -1,6 +1,7 @@
 """An arm of balloons that is filled with helium: its course in time, tables and pictures."""
 
 import dataclasses
+import functools
 import json
 import math
 from collections.abc import Sequence
@@ -95,8 +96,16 @@ def _net_lift_of_links(filling: Filling, share: PerBag) -> Float[Array, " link"]
     return lift * arm.links.volume - borne
 
 
-@program
-def _course(filling: Filling, end: Scalar, tolerance: Scalar, *, times: int) -> _Course:
+def _course_like(filling: Filling, end: Scalar, tolerance: Scalar, times: int) -> _Course:
+    """A course as of `_course`, without filling."""
+    del tolerance
+    bags, links, yes = filling.volume, filling.arm.links.volume, jnp.zeros((), bool)
+    grid, shares = jnp.zeros(times, end.dtype), jnp.zeros((times, *bags.shape), end.dtype)
+    return _Course(grid, shares, grid, bags, links, end, yes, yes, jnp.zeros((), int))
+
+
+@functools.partial(program, like=_course_like)
+def _course(filling: Filling, end: Scalar, tolerance: Scalar, times: int) -> _Course:
     """Fill until every bag has what fills it, or until the end (s); told of at so many times.
 
     The tolerance of the steps is relative to what fills a bag.
@@ -137,7 +146,7 @@ def _course(filling: Filling, end: Scalar, tolerance: Scalar, *, times: int) -> 
         lifts_all,
         finished,
         diffrax.is_okay(solution.result),
-        solution.stats["num_steps"],
+        jnp.asarray(solution.stats["num_steps"], jnp.result_type(int)),
     )
 
 
@@ -282,8 +291,8 @@ def _tried(filling: Filling, limit: float, tolerance: float) -> _Course:
     """The gas over time, as far as its steps came."""
     if jnp.result_type(float) == jnp.float32:
         tolerance = max(tolerance, 1e-4)
-    numbers = (jnp.asarray(number, jnp.result_type(float)) for number in (limit, tolerance))
-    return _course(filling, *numbers, times=_TIMES)
+    end, close = (jnp.asarray(number, jnp.result_type(float)) for number in (limit, tolerance))
+    return _course(filling, end, close, _TIMES)
 
 
 def _check_filling(filling: Filling) -> None:
