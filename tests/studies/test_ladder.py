@@ -8,7 +8,7 @@ from curves import curve, recorded
 from test_suspects import FREE, fitted
 
 from giajax import InputError, fit, ladder, suspects
-from giajax.recordings import split_run
+from giajax.recordings import PriorEntry, split_run
 from giajax.studies import Step, refit
 from giajax.studies._stepwise import _spare, best_step
 
@@ -58,6 +58,30 @@ def test_what_is_no_longer_needed_is_taken_out_again():
     assert _spare([*steps, removed, steps[2]]) == []
     held = refit(steps[2].result, [recording], fix={"shift[2]": 0.0})
     assert set(held.free) == {"amplitude", "decay", "late", "rub"}
+
+
+def test_elements_that_scatter_no_more_are_held_where_they_were():
+    """Each of an array was freed for what came later: a delay imitates none of them then."""
+    recording = recorded(late=0.05, seed=4)
+    first = fitted(recording)
+    parts = ["weights[0]", "weights[1]"]
+    known = {path: PriorEntry(value=1.0, deviation=0.1) for path in parts}
+    freed = refit(first, [recording], free=parts, priors=known)
+    scattered = dataclasses.replace(suspects(first, recording).of("weights"), kind="scatter")
+    last = refit(freed, [recording], free=["late"])
+    steps = [
+        Step(None, 9e9, 2, 360, None, first),
+        Step(scattered, 8e9, 4, 360, None, freed),
+        Step(suspects(freed, recording).of("late"), 7e9, 5, 360, None, last),
+    ]
+    (spare,) = _spare(steps)
+    assert (spare.path, spare.value) == ("weights", [1.0, 1.0])
+    held = refit(last, [recording], fix={spare.path: spare.value})
+    assert set(held.free) == {"amplitude", "decay", "late"}
+    assert not held.config.get("priors")
+    # Without the delay they are not where they were.
+    late = dataclasses.replace(steps[2], result=freed)
+    assert _spare([*steps[:2], late]) == []
 
 
 @pytest.mark.slow

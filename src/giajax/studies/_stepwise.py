@@ -3,6 +3,7 @@
 import abc
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
@@ -14,7 +15,7 @@ from ..recordings import PriorEntry, Run
 from ..runtime.aliases import warn_of_name
 from ..runtime.programs import forget_programs_if_many
 from ..runtime.text import InputError
-from ..schema.parameters import declared, elements, left_out
+from ..schema.parameters import declared, elements, get, left_out
 from ._columns import mistakes_of
 from ._refit import refit, with_fitted_state
 from ._score import Coordinates, responses_of, white_noise
@@ -484,9 +485,14 @@ def _spare(steps: Sequence[Step | Measured]) -> list[Suspect]:
     last = steps[-1].result.free
     taken = {step.suspect.path for step in steps if step.removed and step.suspect is not None}
     spare = []
-    for step in steps[1:-1]:
+    for before, step in itertools.pairwise(steps[:-1]):
         suspect = step.suspect
-        if suspect is None or suspect.path in taken or suspect.kind not in ("parameter", "group"):
+        if suspect is None or suspect.path in taken:
+            continue
+        if suspect.kind == "scatter":
+            held = np.ravel(np.asarray(get(before.result.model, suspect.path))).tolist()
+            suspect = dataclasses.replace(suspect, value=held)
+        elif suspect.kind not in ("parameter", "group"):
             continue
         paths = [p for p in last if suspect.path in (p, p.partition("[")[0])]
         values = np.broadcast_to(np.asarray(suspect.value, dtype=float), (len(paths),))

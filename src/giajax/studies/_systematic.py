@@ -161,9 +161,19 @@ def deciding_conditions(errors: Sequence[SystematicError]) -> list[str]:
         if error.decides:
             sentences.append(
                 f"{error.path}: is held and decides, because a change of it by {change} moves "
-                f"{', '.join(error.decides)} by more than a standard error"
+                f"{_named(error.decides)} by more than a standard error"
             )
     return sentences
+
+
+_NAMED = 4
+
+
+def _named(paths: Sequence[str]) -> str:
+    """The paths, of which not more than a few by name."""
+    if len(paths) <= _NAMED:
+        return ", ".join(paths)
+    return f"{', '.join(paths[: _NAMED - 1])} and {len(paths) - _NAMED + 1} others"
 
 
 def together(errors: Sequence[SystematicError]) -> dict[str, float]:
