@@ -112,7 +112,6 @@ def one(name: str, entropy: list[int], code: str | None) -> Figures:
     return {
         "minutes": round(minutes, 1),
         "ended": found.record.ended,
-        "status": found.record.status,
         "sentences": list(found.record.sentences),
         "steps": [step.change for step in found.record.steps[1:]],
         "explained": of_drag(found.result, truth, drag.total_error),
@@ -171,7 +170,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each recording."""
     rows = [
-        "| five omissions | steps | minutes on one core | verdict, ended | C_D, errors off | "
+        "| five omissions | steps | minutes on one core | verdict | C_D, errors off | "
         "by hand | error over that by hand |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
@@ -190,9 +189,10 @@ def table(figures: Figures) -> list[str]:
         ]
         steps = ", ".join(f"`{step}`" for step in each["steps"]) or "-"
         omitted = name.partition(": ")[2].replace(AND, "; ")
-        told = (
-            each["status"] if each["ended"] == "selected" else f"{each['status']}, {each['ended']}"
-        )
+        against = len(each["sentences"])
+        told = f"{against} against it" if against else "adequate"
+        if each["ended"] != "selected":
+            told = f"{told}, {each['ended']}"
         cells = [omitted, steps, f"{each['minutes']:g}", told, *values, wider]
         rows.append(f"| {' | '.join(cells)} |")
     right = sum(map(_is_right, figures.values()))
