@@ -262,6 +262,19 @@ def test_positions_in_another_unit_are_renamed(factor, unit):
 
 
 @quick
+@quick
+def test_points_that_are_exchanged_are_in_no_other_unit():
+    """The first point goes as far as the last one should, and no farther than the arm is long."""
+    rng = np.random.default_rng(3)
+    columns, _ = recorded("pitch_yaw", rng)
+    pair = {f"link01_{axis}_m": f"link20_{axis}_m" for axis in "xyz"}
+    pair |= {other: one for one, other in pair.items()}
+    exchanged = {pair.get(name, name): values for name, values in columns.items()}
+    said = " ".join(note.sentence for note in found(exchanged, {"arm": {"links": 20}}))
+    assert "link01 and link20 exchanged" in said
+    assert "may be in" not in said
+
+
 def test_one_mistake_is_one_note():
     for mistake in (millimetres, degrees, z_down, zeros, glitches, wrong_joint, take, origin):
         codes = [odd.code for odd in made(mistake, "base_step", 3)]

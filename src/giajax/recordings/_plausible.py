@@ -508,10 +508,11 @@ def _reach(look: Look) -> Iterator[Oddity]:
         return
     lengths = np.broadcast_to(known[LINKS.length.path], (count,))
     # How many times as far from the base as the arm lets each be, the worst first.
-    beyond = []
+    beyond, points = [], set()
     for name, cells in look.measured.items():
         if cells.channel.kind in ("link_position", "tip_position"):
             link = (cells.channel.index or count + 1) - 1
+            points.add(link)
             own = float(np.sum(lengths[:link]) + np.sum(lengths[link : link + 1]) / 2)
             seen = np.abs(cells.values[:: max(len(cells.values) // 2000, 1)])
             far = float(np.quantile(seen, 0.9))
@@ -521,8 +522,12 @@ def _reach(look: Look) -> Iterator[Oddity]:
         return
     ratio, far, own, name = max(beyond)
     channel = look.run.channels[name]
-    # What is farther than a hundred times as far is too far in cm, too.
+    # What is farther than a hundred times as far is too far in cm, too; and few points that are no
+    # farther than the arm is long are rather those of other links.
     unit = "mm" if ratio > 120 else "cm" if ratio > 10 else ""
+    far_points = {(look.measured[each[-1]].channel.index or count + 1) - 1 for each in beyond}
+    if 2 * len(far_points) < len(points) and far < 1.2 * float(np.sum(lengths)):
+        unit = ""
     what = (
         f"the values may be in {unit}" if unit else "the origin, a label or a length may be wrong"
     )
