@@ -262,7 +262,6 @@ def test_positions_in_another_unit_are_renamed(factor, unit):
 
 
 @quick
-@quick
 def test_points_that_are_exchanged_are_in_no_other_unit():
     """The first point goes as far as the last one should, and no farther than the arm is long."""
     rng = np.random.default_rng(3)
@@ -275,6 +274,7 @@ def test_points_that_are_exchanged_are_in_no_other_unit():
     assert "may be in" not in said
 
 
+@quick
 def test_one_mistake_is_one_note():
     for mistake in (millimetres, degrees, z_down, zeros, glitches, wrong_joint, take, origin):
         codes = [odd.code for odd in made(mistake, "base_step", 3)]

@@ -173,3 +173,19 @@ def test_rungs_among_outliers_are_compared_by_one_likelihood():
         expected = np.sum(np.where(far < 1, far**2, 2 * far - 1))
         assert step.chi_square == pytest.approx(expected, rel=1e-9)
     assert steps.steps[0].bic - steps.steps[-1].bic > 100
+
+
+def test_what_was_left_out_before_is_held_as_if_it_were():
+    recording = recorded(rub=0.05, seed=4)
+    first = fitted(recording)
+    freed = refit(first, [recording], free=["late"])
+    scattered = dataclasses.replace(suspects(first, recording).of("late"), kind="scatter")
+    last = refit(freed, [recording], free=["rub"])
+    steps = [
+        Step(None, 9e9, 2, 360, None, first),
+        Step(scattered, 8e9, 3, 360, None, freed),
+        Step(suspects(freed, recording).of("rub"), 7e9, 4, 360, None, last),
+    ]
+    (spare,) = _spare(steps)
+    assert (spare.path, spare.value) == ("late", 0.0)
+    assert set(refit(last, [recording], fix={"late": 0.0}).free) == {"amplitude", "decay", "rub"}

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import signal
 import time
 import types
@@ -409,8 +410,8 @@ class Interrupted(Curve):
 
 class Stopping(Curve):
     def predict(self, inputs, channels):
-        signal.raise_signal(signal.SIGINT)
-        time.sleep(0.1)
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.5)  # The thread that waits is told meanwhile.
         return super().predict(inputs, channels)
 
 

@@ -1,6 +1,7 @@
 """Compiled programs: the options of XLA, and the cache of traced programs between processes."""
 
 import abc
+import contextlib
 import copyreg
 import dataclasses
 import enum
@@ -266,23 +267,27 @@ _in_use: "weakref.WeakSet[CachedProgram]" = weakref.WeakSet()
 # compiler fails, and the process with it.
 _MAPS = Path("/proc/self/maps")
 _MOST_MAPS = 30_000
+_left = 0  # when they were last forgotten
 
 
 def forget_programs_if_many(most: int = _MOST_MAPS) -> None:
     """Drop this process's compiled programs where they have mapped more memory than so many times.
 
     What is needed again is compiled again, or read from the cache. For what makes many different
-    fits in one process; to be called between two.
+    fits in one process; to be called between two. What else maps memory is left out of it.
     """
+    global _left
     try:
         count = _MAPS.read_bytes().count(b"\n")
     except OSError:  # of another system
         return
-    if count > most:
-        for kept in _in_use:
-            kept.forget()
-        jax.clear_caches()
-        gc.collect()
+    if count <= max(most, _left + most // 10):
+        return
+    for kept in list(_in_use):
+        kept.forget()
+    jax.clear_caches()
+    gc.collect()
+    _left = _MAPS.read_bytes().count(b"\n")
 
 
 def cache_programs(folder: Path) -> None:
@@ -320,13 +325,15 @@ class CachedProgram:
             key = structure(args)
         except NoStructureError:
             return None
-        if key not in self._calls:
-            try:
-                self._calls[key] = self._prepared(key, args)
-            except Exception:
-                # Whatever is wrong with the arguments, the function itself says it better.
-                self._calls[key] = None
-        return self._calls[key]
+        with contextlib.suppress(KeyError):
+            return self._calls[key]
+        try:
+            found: Call | None = self._prepared(key, args)
+        except Exception:
+            # Whatever is wrong with the arguments, the function itself says it better.
+            found = None
+        self._calls[key] = found
+        return found
 
     def _prepared(self, key: str, args: tuple[Any, ...]) -> Call:
         assert _folder is not None

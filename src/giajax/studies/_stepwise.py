@@ -490,12 +490,17 @@ def _spare(steps: Sequence[Step | Measured]) -> list[Suspect]:
         if suspect is None or suspect.path in taken:
             continue
         if suspect.kind == "scatter":
-            held = np.ravel(np.asarray(get(before.result.model, suspect.path))).tolist()
-            suspect = dataclasses.replace(suspect, value=held)
+            # As they were, or as if they were not there.
+            whole = get(_neutrally(before.result.model, suspect.path), suspect.path)
+            held = np.ravel(np.asarray(whole)).tolist()
+            suspect = dataclasses.replace(suspect, value=held if len(held) > 1 else held[0])
         elif suspect.kind not in ("parameter", "group"):
             continue
         paths = [p for p in last if suspect.path in (p, p.partition("[")[0])]
-        values = np.broadcast_to(np.asarray(suspect.value, dtype=float), (len(paths),))
+        values = np.ravel(np.asarray(suspect.value, dtype=float))
+        if len(values) not in (1, len(paths)):  # Some are held, or follow others, since.
+            continue
+        values = np.broadcast_to(values, (len(paths),))
         if paths and all(
             abs(last[path].value - value) < _NEAR * (last[path].standard_error or np.inf)
             for path, value in zip(paths, values, strict=True)
