@@ -206,7 +206,7 @@ def test_the_model_of_a_package_is_imported_where_a_sidecar_names_it(tmp_path, m
     def entries(group, name):
         return [Entry()] if (group, name) == ("giajax.models", "packaged") else []
 
-    monkeypatch.setattr("giajax.runtime.plugins.metadata.entry_points", entries)
+    monkeypatch.setattr("importlib.metadata.entry_points", entries)
     data = tmp_path / "balloon.csv"
     data.write_text("time_s,fullness\n0,1\n1,0.9\n")
     with pytest.raises(giajax.InputError, match="not in the column table"):
