@@ -261,14 +261,14 @@ def clock_conditions(
     held = [part.path for part in parts if not {part.path, part.path.partition("[")[0]} & {*free}]
     initial = [run.definition.section(InitialSection).values() for run in runs]
     known = [
-        bool(arm.gravity != 0) or arm.buoyancy is not None,
+        float(arm.gravity) != 0 or arm.buoyancy is not None,
         arm.air.wind_field is not None or any(run.winds for run in runs) or "air.wind" in present,
         arm.air.drag_curve != "constant" or arm.air.law is not None,
         arm.pneumatics is not None or any(path in present for path in _BY_THE_SECOND),
         any(channel.quantity in _SECONDS for channel in channels),
         any(np.any(values.get(INITIAL.rate.path, 0.0)) for values in initial),
         any(name not in ("hardening", "end_stops") for name in arm.joints.laws),
-        any(np.any(get(model, path)) for path in held),
+        any(np.any(np.asarray(get(model, path))) for path in held),
     ]
     if set(counted.values()) != {-1, -2} or any(known):
         return []
