@@ -1,9 +1,8 @@
 """Explanations: what `giajax explain` makes of recordings with five omissions at once.
 
-Motions are those of `_omissions`. Each recording has one thing of each of five groups that the
-paper's model does not have, drawn at random, and the outliers of a camera where `CELLS` is among
-them. What is found is compared with a fit of the model that a person who knows all five would
-build by hand.
+Motions are those of `_omissions`. Each recording has one thing of each of five groups of `GROUPS`,
+drawn at random, which the paper's model does not have. What is found is compared with a fit of the
+model that a person who knows all five would build by hand.
 """
 
 import dataclasses
@@ -157,7 +156,7 @@ def _is_right(each: Figures) -> bool:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Drag by the model by hand that is far off: what it starts from is the truth's model."""
+    """Drag by the model by hand that is far off; explanations take too long to be made again."""
     del stored
     offs = {name: each["by hand"]["off"] for name, each in new.items()}
     return [

@@ -371,6 +371,12 @@ def test_what_nothing_explains_is_said_and_drawn(tmp_path):
     assert "left_over.png" in reason.sentence
     write_result(asked, odd, tmp_path)
     assert (tmp_path / "left_over.png").stat().st_size > 10_000
+    # Axes are looked at where the fit began, too, and say nothing of where it ended.
+    result = fitted(odd)
+    found = suspects(result, odd)
+    begun = dataclasses.replace(found.rows[-1], kind="axes", begun=True)
+    with_axes = dataclasses.replace(found, rows=(*found.rows, begun))
+    assert with_axes.judge(result).reasons[-1].code == "unexplained"
     # What a suspect explains is no such thing.
     late = recorded(late=0.1)
     codes = [each.code for each in with_suspects(fitted(late), late).verdict.reasons]

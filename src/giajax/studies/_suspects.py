@@ -124,7 +124,7 @@ class Suspects:
         """
         verdict = result.verdict.without("suspect").without(UNEXPLAINED)
         if verdict.status == "inadequate":
-            if any(row.begun for row in self.rows):  # They are of another point.
+            if self.rows and all(row.begun for row in self.rows):  # They are of another point.
                 return verdict
             before = self.chi_square / max(self.values - self.parameters, 1) - 1
             # What a step to the first order leaves of something large is none of this.
