@@ -160,12 +160,13 @@ def deciding_conditions(errors: Sequence[SystematicError]) -> list[str]:
         change = f"{error.uncertainty:.3g} {error.unit}".rstrip() if error.stated else "1 %"
         if error.decides:
             sentences.append(
-                f"{error.path}: is held and decides, because a change of it by {change} moves "
+                f"{error.path}{_DECIDES}, because a change of it by {change} moves "
                 f"{_named(error.decides)} by more than a standard error"
             )
     return sentences
 
 
+_DECIDES = ": is held and decides"
 _NAMED = 4
 
 
@@ -235,8 +236,9 @@ def with_systematic_errors(
     As of `giajax.systematic_errors`; an uncertainty that is stated here is kept in `config`.
     """
     errors = systematic_errors(result, runs, uncertainty)
-    before = deciding_conditions(result.systematic)
-    conditions = [condition for condition in result.conditions if condition not in before]
+    # By how they begin: an earlier version ended them otherwise.
+    before = tuple(f"{error.path}{_DECIDES}" for error in result.systematic)
+    conditions = [each for each in result.conditions if not each.startswith(before)]
     stated = {} if uncertainty is None else {"uncertainty": dict(uncertainty)}
     return dataclasses.replace(
         result,
