@@ -14,6 +14,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +88,35 @@ print(json.dumps({"status": status, "processor_s": processor, "clock_s": clock, 
 """
 
 
+def process(checkout: Path, cache: Path, command: Sequence[str]) -> dict[str, Any]:
+    """Run a command by the source of a checkout in a process of its own.
+
+    Arguments:
+        checkout: root of the project, of this or of another version.
+        cache: of the user.
+        command: as after `giajax`.
+
+    Returns:
+        Its times in s, and what it compiled.
+    """
+    environment = source_of(checkout) | {"XDG_CACHE_HOME": str(cache)}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    # An installed package has its bytecode.
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    done = subprocess.run(
+        [sys.executable, "-c", _PROCESS, *command],
+        capture_output=True,
+        text=True,
+        env=environment,
+        cwd=checkout,
+    )
+    last = (done.stderr.splitlines() or [""])[-1]
+    if done.returncode or not last.startswith("{"):
+        raise SystemExit(f"{command[0]} by {checkout} ended with {done.returncode}: {done.stderr}")
+    found: dict[str, Any] = json.loads(last)
+    return found
+
+
 def fitted(
     checkout: Path, cache: Path, out: Path, options: list[str], fit: Path | None = None
 ) -> dict[str, Any]:
@@ -102,22 +132,8 @@ def fitted(
     Returns:
         Its times in s, what it compiled, and its estimates by path.
     """
-    environment = source_of(checkout) | {"XDG_CACHE_HOME": str(cache)}
-    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
-    # An installed package has its bytecode.
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = ["fit", str(fit or checkout / FIT), "--out", str(out), "--force", *options]
-    done = subprocess.run(
-        [sys.executable, "-c", _PROCESS, *command],
-        capture_output=True,
-        text=True,
-        env=environment,
-        cwd=checkout,
-    )
-    last = (done.stderr.splitlines() or [""])[-1]
-    if done.returncode or not last.startswith("{"):
-        raise SystemExit(f"the fit by {checkout} ended with {done.returncode}: {done.stderr}")
-    found: dict[str, Any] = json.loads(last)
+    found = process(checkout, cache, command)
     result = json.loads((out / "result.json").read_text())
     free = {path: each for path, each in result["parameters"].items() if each["free"]}
     found["estimates"] = {path: each["value"] for path, each in free.items()}

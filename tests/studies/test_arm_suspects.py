@@ -13,9 +13,11 @@ import scipy.signal
 
 import giajax
 import small_arm
+from giajax.fitting import Suspect
 from giajax.models import ArmModel
 from giajax.schema.parameters import left_out, replace
 from giajax.studies import inquiry
+from giajax.studies._stepwise import Climb, Fits, Measured
 
 CHANNELS = [f"link{link:02d}_{axis}" for link in (2, 4) for axis in "xyz"]
 TIMES = np.linspace(0.0, 4.0, 41)
@@ -122,6 +124,30 @@ def test_a_drive_that_does_not_move_is_named():
     freed = giajax.fit(arm(), run, free=[*free, first.path], start=small_arm.START, check=False)
     assert freed.verdict.status == "adequate"
     assert freed.parameters[first.path].value < 0.05
+
+
+class NothingAsked(Fits):
+    """Fits of a selection that is told what to free."""
+
+    def suspects(self, result, runs):
+        return None
+
+
+@pytest.mark.slow
+def test_a_drive_that_seemed_to_be_weak_alone_stands_for_all_that_are():
+    """Each drive reaches 90 %, and the first step frees one of them; of one alone it stays so."""
+    one = Suspect("joints.drive_gain[0]", "parameter", "", 1.0, 0.9, 0.01, 99.0, 1, 1e-9, True)
+    for gains, tied in ((0.9, True), ([0.9, 1.0, 1.0, 1.0], False)):
+        run = recorded({"joints.drive_gain": gains})
+        free = list(small_arm.START)
+        result = giajax.fit(arm(), run, free=free, start=small_arm.START, check=False)
+        climb = Climb([run], [], NothingAsked())
+        climb.take(Measured.of(result, [run], []))
+        climb.step(1, lambda *_: [one])
+        names = [step.change for step in climb.steps()]
+        assert names == ["-", one.path, *([f"joints.drive_gain = {one.path}"] if tied else [])]
+        found = giajax.get(climb.last.result.model, "joints.drive_gain")
+        np.testing.assert_allclose(found, np.broadcast_to(gains, 4), atol=0.02)
 
 
 @pytest.mark.slow

@@ -32,6 +32,8 @@ from ..mechanics.inflation import (
 from ..report import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png
 from ..runtime.arrays import Array, Bool, Float, Int, Scalar
 from ..runtime.limits import FILLING_S
+from ..runtime.parallel import Tell, run_in_threads
+from ..runtime.process import cores
 from ..runtime.programs import program
 from ..runtime.records import plain_data
 from ..runtime.text import InputError
@@ -376,20 +378,36 @@ def filling_curve(
     if not len(diameters):
         raise InputError("there are no diameters: give at least one")
     path = STRENGTHS[made.supply.kind]
-    guess = math.log(float(get(made, path)))
-    columns = []
-    # From the widest, which needs what ports of no resistance need.
-    for diameter in sorted(diameters, reverse=True):
+
+    def one(diameter: float, guess: float) -> tuple[float, tuple[float, ...]]:
+        """The next guess, and the pair with its flow and pressure."""
         narrowed = replace(made, {PORTS.diameter.path: float(diameter)})
         _check_filling(narrowed)
         strength = _strength(narrowed, path, duration, guess)
         if strength is None:
-            columns.append((diameter, np.nan, np.nan, np.nan))
-            continue
-        guess = math.log(strength)
+            return guess, (diameter, np.nan, np.nan, np.nan)
         found = fill(replace(narrowed, {path: strength}), limit=2 * duration)
-        columns.append((diameter, strength, found.flow[0], found.pressure[:, 0].max()))
-    pairs = np.asarray(columns[::-1]).T
+        return math.log(strength), (diameter, strength, found.flow[0], found.pressure[:, 0].max())
+
+    # From the widest, which needs what ports of no resistance need; then every other one beside
+    # the rest, each from where the one before it ended.
+    widest, *others = sorted(diameters, reverse=True)
+    first, pair = one(widest, math.log(float(get(made, path))))
+
+    def chain(tell: Tell, own: Sequence[float]) -> list[tuple[float, ...]]:
+        guess, found = first, []
+        for diameter in own:
+            tell(lambda: None)  # after Ctrl-C no further one begins
+            guess, pair = one(diameter, guess)
+            found.append(pair)
+        return found
+
+    jobs = [functools.partial(chain, own=others[k::2]) for k in (0, 1)]
+    chains = run_in_threads(jobs, min(2, cores()), until=lambda _: False)
+    if None in chains:  # It did not begin.
+        raise KeyboardInterrupt
+    columns = sorted([pair, *(each for found in chains for each in found or ())])
+    pairs = np.asarray(columns).T
     return FillingCurve(duration, pairs[0], pairs[1], path, pairs[2], pairs[3])
 
 

@@ -56,7 +56,7 @@ def explain(
     config: Annotated[Path | None, "FILE.toml", "A fit definition to begin with."] = None,
     validation: Annotated[Paths, "RUN.csv", "A run to judge the steps by."] = None,
     rename: Renamed = None,
-    max_steps: Annotated[int | None, "N", "Steps at most (6).", 0] = None,
+    max_steps: Annotated[int | None, "N", "Steps at most (10).", 0] = None,
     tries: Annotated[int | None, "N", "Suspects that are fitted at each step (3).", 1] = None,
     resume: Annotated[Path | None, "DIR", "Go on with the explanation there."] = None,
     out: Annotated[Path | None, "DIR", "Where it goes (giajax-out/RUN-explained)."] = None,

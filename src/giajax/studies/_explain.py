@@ -42,7 +42,6 @@ from ._columns import mistakes_of
 from ._explain_records import ExplainedParameter, ExplainedStep, Explanation
 from ._refit import fit_key, refit, with_fitted_state
 from ._stepwise import (
-    MOST,
     TRIES,
     AbstractFits,
     Climb,
@@ -62,6 +61,7 @@ NEARNESS = 6.0
 ROBUST = "huber"
 """The loss where outliers are seen: with others a wrong model takes its misfit for outliers."""
 
+_STEPS = 10  # what five omissions take, and three that were taken for others at first
 _ITERATIONS = 30  # of a step
 _MEMBERS = 2  # of a group, beside the first
 _AGAINST = 3.0  # standard deviations of a prior that a nuisance is off by
@@ -257,7 +257,7 @@ def explain(
         result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
         validation: further runs to judge the steps by.
         held_out: what was held out of the fitted runs, likewise.
-        max_steps: steps at most (6, or what it was in the folder).
+        max_steps: steps at most (10, or what it was in the folder).
         tries: suspects that are fitted at each of them (3, likewise).
         budget_s: wall time after which it ends with what it has reached, s.
         folder: keep a journal and the fits there; what is there of the same explanation is not done
@@ -285,7 +285,7 @@ def explain(
     said = {"tries": tries, "max_steps": max_steps}
     kept = Kept(home, head, said, None if budget_s is None else Budget(budget_s), say)
     tries = TRIES if kept.asked.tries is None else kept.asked.tries
-    max_steps = MOST if kept.asked.max_steps is None else kept.asked.max_steps
+    max_steps = _STEPS if kept.asked.max_steps is None else kept.asked.max_steps
     climb = Climb(fitted, apart, kept)
     climb.progress = _Told(climb, kept.say, max_steps).step
     outliers, ended = 0, "steps"
@@ -500,7 +500,8 @@ def _final(
             last = dataclasses.replace(last, conditions=(*last.conditions, sentence))
         last = _judged(last, result, climb.apart, *judges)
     known = climb.asked[-1]
-    if not stopped:
+    # What was asked already is not asked again where no time is left.
+    if not (stopped or (kept.is_late and known is not None)):
         try:
             kept.say("testing what the selected model held or left out ...")
             return with_suspects(last, runs), seen

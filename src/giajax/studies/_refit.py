@@ -101,6 +101,7 @@ def refit(
     start: Mapping[str, float | Sequence[float]] | None = None,
     fix: Mapping[str, float | Sequence[float]] | None = None,
     priors: Mapping[str, PriorEntry | None] | None = None,
+    ties: Mapping[str, str] | None = None,
     noise_model: NoiseModel | None = None,
     loss: AbstractLoss | str | None = None,
     max_iterations: int | None = None,
@@ -119,6 +120,7 @@ def refit(
             bound starts a little inside of it.
         fix: values by path, SI, that are set and held; what was free of it no longer is.
         priors: by path, in place of those that free parameters had; None for none.
+        ties: further ones, of parameters that were held.
         noise_model, loss, max_iterations, budget, progress, check: as of `giajax.fit`; noise model
             and loss are those of `result`.
     """
@@ -146,6 +148,7 @@ def refit(
     changed |= {"free": paths, "start": values, "fix": dict(fix or {})}
     together = {**changed["priors"], **(priors or {})}
     changed["priors"] = {path: prior for path, prior in together.items() if prior is not None}
+    changed["ties"] |= ties or {}
     if noise_model is not None:
         changed["noise_model"] = noise_model
     if loss is not None:

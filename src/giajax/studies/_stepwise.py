@@ -11,7 +11,7 @@ import numpy as np
 
 from ..fitting import FitResult, Response, Suspect, in_full, matching_runs
 from ..models import AbstractModel, capabilities
-from ..recordings import PriorEntry, Run
+from ..recordings import FitSettings, PriorEntry, Run
 from ..runtime.aliases import warn_of_name
 from ..runtime.programs import forget_programs_if_many
 from ..runtime.text import InputError
@@ -447,16 +447,25 @@ class Climb:
         _, self.runs, self.apart = one
         self.take(one[0])
         for spare in _spare(self.taken):
-            name, held = f"without {spare.path}", {spare.path: spare.value}
-            try:
-                again = self.fits.refit(name, self.last.result, self.runs, fix=held)
-                fewer = self.fits.measured(again, self.runs, self.apart, spare, removed=True)
-            except InputError:  # It cannot do without.
-                continue
-            noise = self.last.noise
-            if fewer.step(noise).bic < self.last.step(noise).bic:
-                self.take(fewer)
+            held = {spare.path: spare.value}
+            self._take_if_better(f"without {spare.path}", spare, removed=True, fix=held)
+        for one in _standing_for_all(self.taken):
+            path, of = one.path.split(" = ")
+            self._take_if_better(one.path, one, ties={path: of})
         return False
+
+    def _take_if_better(
+        self, name: str, suspect: Suspect, *, removed: bool = False, **changed: Any
+    ) -> None:
+        """Fit the last model with something changed, and take that if BIC is lower."""
+        try:
+            again = self.fits.refit(name, self.last.result, self.runs, **changed)
+            other = self.fits.measured(again, self.runs, self.apart, suspect, removed=removed)
+        except InputError:  # It cannot be fitted so.
+            return
+        noise = self.last.noise
+        if other.step(noise).bic < self.last.step(noise).bic:
+            self.take(other)
 
     def steps(self) -> list[Step]:
         """What was taken, with the white noise of the last."""
@@ -507,3 +516,25 @@ def _spare(steps: Sequence[Step | Measured]) -> list[Suspect]:
         ):
             spare.append(suspect)
     return spare
+
+
+def _standing_for_all(steps: Sequence[Step | Measured]) -> list[Suspect]:
+    """Elements freed one by one, such as a drive that seemed to be weak: all may be as that one.
+
+    While something else is missing, the one that moves most of the arm may look as if it were
+    alone.
+    """
+    last = steps[-1].result
+    single = capabilities.one_by_one(last.model)
+    freed: dict[str, list[Suspect]] = {}
+    for step in steps:
+        path = "" if step.suspect is None else step.suspect.path
+        name, _, index = path.partition("[")
+        if index and name in single and path in last.free and step.suspect is not None:
+            freed.setdefault(name, []).append(step.suspect)
+    ties = FitSettings.shared_with(last.config).ties
+    return [
+        dataclasses.replace(one, path=f"{name} = {one.path}", kind="switch", p_value=None)
+        for name, (one, *others) in freed.items()
+        if not others and name not in ties
+    ]

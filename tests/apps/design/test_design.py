@@ -103,14 +103,21 @@ def test_the_command_its_files_and_what_they_promise(tmp_path, capsys):
     uncertain = draws(question.parameters, question.values, question.deviations, np.eye(2), 2)
     error = RobustError(question.experiment, series, uncertain, question.known, C, 2)
     error.choose(numbers)
-    value, slope = error(numbers)
+    value, slope = error(numbers), error.slope(numbers)
     first = expected_errors(whole)[0] * question.values[0]
     assert np.exp(error.each(numbers)[0]) == pytest.approx(first, rel=1e-5)
     for place in (0, 2):
         way = 1e-3 * np.eye(4)[place]
-        difference = (error(numbers + way)[0] - error(numbers - way)[0]) / 2e-3
+        difference = (error(numbers + way) - error(numbers - way)) / 2e-3
         assert slope[place] == pytest.approx(difference, rel=0.02)
     assert value == pytest.approx(np.mean(error.each(numbers)))
+    for kind, over in (("A", "worst"), ("D", "mean")):
+        both = Criterion(kind, (1.0, 1.0))
+        other = RobustError(question.experiment, series, uncertain, question.known, both, 2, over)
+        other.choose(numbers)
+        way = 1e-3 * np.eye(4)[2]
+        difference = (other(numbers + way) - other(numbers - way)) / 2e-3
+        assert other.slope(numbers)[2] == pytest.approx(difference, rel=0.02)
 
 
 def test_draws_are_of_what_is_uncertain():
@@ -140,7 +147,7 @@ def test_draws_that_cannot_be_simulated_are_left_out():
     numbers = series.base_step()
     nothing = np.zeros((4, 1, 1, 1))
     successful = np.asarray([False, True, False, True])
-    told = Informed(nothing, nothing[:, None], np.zeros((4, 1, 1)), successful)
+    told = Informed(nothing, np.zeros((4, 1, 1)), successful)
     error._seen = numbers.tobytes(), told
     error.leave_out_failing(numbers)
     np.testing.assert_array_equal(error.draws, uncertain[[0, 1, 3]])

@@ -28,6 +28,7 @@ from ._search import (
     Search,
     base_step,
     informed,
+    slopes,
     starts_of,
 )
 
@@ -103,21 +104,36 @@ class RobustError:
         if self.over not in _OVER:
             raise InputError(f"there is no robust '{self.over}': use one of: {', '.join(_OVER)}")
 
-    def __call__(self, numbers: Numbers) -> tuple[float, Float[np.ndarray, " number"]]:
-        """The logarithm and its gradient; NaN where a draw cannot be simulated."""
+    def __call__(self, numbers: Numbers) -> float:
+        """The logarithm; NaN where a draw cannot be simulated."""
         found = self._informed(numbers)
         if not np.all(found.successful):
-            return np.nan, np.full(len(numbers), np.nan)
-        some = list(self.markers)
-        values, slopes = [], []
-        for information, slope in zip(found.values, found.slopes, strict=True):
-            value, by_information = self._error(information[some].sum(axis=0))
-            values.append(value)
-            slopes.append(np.einsum("ij,nij->n", by_information, slope[:, some].sum(axis=1)))
+            return np.nan
+        return self._over_draws(found.values[:, list(self.markers)].sum(axis=1))
+
+    def slope(self, numbers: Numbers) -> Float[np.ndarray, " number"]:
+        """Its derivatives by the numbers; NaN where a draw cannot be simulated."""
+        found = self._informed(numbers)
+        if not np.all(found.successful):
+            return np.full(len(numbers), np.nan)
+        informations = found.values[:, list(self.markers)].sum(axis=1)
+        each = [self._error(information) for information in informations]
+        some = slice(None)
         if self.over == "worst":
-            worst = int(np.argmax(values))
-            return values[worst], slopes[worst]
-        return float(np.mean(values)), np.mean(slopes, axis=0)
+            worst = int(np.argmax([value for value, _ in each]))
+            some = slice(worst, worst + 1)
+        # Of a criterion of few parameters this matrix has but as many values that are not 0.
+        signs, directions = np.linalg.eigh([by_information for _, by_information in each[some]])
+        most = np.argsort(-np.abs(signs), axis=1)[:, : self.criterion.rank]
+        along = slopes(
+            self.experiment,
+            self.series.at(numbers),
+            self.draws[some],
+            np.take_along_axis(directions.swapaxes(1, 2), most[..., None], axis=1),
+            np.take_along_axis(signs, most, axis=1),
+            self.markers,
+        )
+        return along.mean(axis=0)
 
     def leave_out_failing(self, numbers: Numbers) -> None:
         """Leave out the draws with which a command cannot be simulated; the first one stays."""

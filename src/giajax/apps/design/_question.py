@@ -57,6 +57,11 @@ class Criterion:
         if not any(self.weights):
             raise InputError("no parameter is to be found: give the path of at least one")
 
+    @property
+    def rank(self) -> int:
+        """In how many directions of the parameters information changes it, at most."""
+        return 1 if self.kind == "c" else int(np.count_nonzero(self.weights))
+
     def of(self, covariance: Matrix) -> tuple[float, Matrix]:
         """Its value, and the derivative of that by the covariance."""
         weights = np.asarray(self.weights)

@@ -227,9 +227,10 @@ class Command:
 # What each body of an experiment tells, and how that changes with the command.
 #
 # The information is the sum of J^T J over the channels of a body, J the derivatives of its
-# channels over their noise by the scaled parameters. Both derivatives, by parameters and by the
-# numbers of the command, are forward, one within the other: no reverse pass through a solver of
-# adaptive steps, and exact to the solver's tolerance.
+# channels over their noise by the scaled parameters. A criterion has few directions of the
+# parameters in which information changes it (one, where it is of one parameter), and derivatives
+# by the numbers of the command are those of the channels along these alone. Both are forward, one
+# within the other: no reverse pass through a solver of adaptive steps, and exact to its tolerance.
 
 # Paths that a command disturbs an arm as: the model then takes the steps that this needs.
 _DISTURBANCE = ("initial.angle",)
@@ -264,51 +265,121 @@ class Experiment:
 
 @dataclasses.dataclass(frozen=True)
 class Informed:
-    """Information of each draw and body, and its derivatives by the numbers of the command."""
+    """Information of each draw and body, and what is to be expected of the channels."""
 
     values: Float[np.ndarray, "draw body parameter parameter"]
-    slopes: Float[np.ndarray, "draw number body parameter parameter"]
     predicted: Float[np.ndarray, "draw sample channel"]
     successful: np.ndarray
 
 
-def informed(
-    experiment: Experiment, command: Command, draws: Float[np.ndarray, "draw parameter"]
-) -> Informed:
-    """The information of an experiment with a command, and its derivatives; draws on all cores."""
+Draws = Float[np.ndarray, "draw parameter"]
+
+
+def informed(experiment: Experiment, command: Command, draws: Draws) -> Informed:
+    """The information of an experiment with a command; draws on all cores."""
     dtype = jnp.result_type(float)
-    arrays = (experiment.scales, 1 / experiment.noise, command.numbers, command.times)
-    scales, weights, at, times = (jnp.asarray(array, dtype) for array in arrays)
-    angle = jnp.asarray(command.limits.angle, dtype)
     places = np.asarray(experiment.bodies)
     bodies = jnp.asarray(places[None, :] == np.arange(places.max() + 1)[:, None], dtype)
-    shared = (
-        (at, times, angle, scales, weights, bodies, experiment.inputs),
+    shared = (bodies, *_shared(experiment, command))
+    batch = Batch(_informed, np.asarray(draws, dtype), shared, np.ones(len(draws)), 1)
+    return Informed(*run_on_all_cores([batch])[0])
+
+
+def slopes(
+    experiment: Experiment,
+    command: Command,
+    draws: Draws,
+    directions: Float[np.ndarray, "draw direction parameter"],
+    signs: Float[np.ndarray, "draw direction"],
+    bodies: Sequence[int],
+) -> Float[np.ndarray, "draw number"]:
+    """Derivatives by the numbers of a command of the sum of s d^T I d, s the signs.
+
+    I is the information of some bodies, and d each of the directions.
+    """
+    dtype = jnp.result_type(float)
+    counts = jnp.asarray(np.isin(experiment.bodies, bodies), dtype)
+    shared = (counts, *_shared(experiment, command))
+    given = (draws, directions, signs)
+    items = tuple(np.asarray(array, dtype) for array in given)
+    batch = Batch(_slopes, items, shared, np.ones(len(draws)), 1)
+    return np.asarray(run_on_all_cores([batch])[0])
+
+
+def _shared(experiment: Experiment, command: Command) -> tuple[Any, ...]:
+    """What of an experiment and a command is the same for all draws."""
+    dtype = jnp.result_type(float)
+    arrays = (command.numbers, command.times, experiment.scales, 1 / experiment.noise)
+    angle = jnp.asarray(command.limits.angle, dtype)
+    return (
+        (*(jnp.asarray(array, dtype) for array in arrays), angle, experiment.inputs),
         experiment.model,
         (command.limits.joints, experiment.joints),
         (experiment.paths, experiment.own, experiment.ties, experiment.channels),
     )
-    batch = Batch(_informed, np.asarray(draws, dtype), shared, np.ones(len(draws)), 1)
-    return Informed(*run_on_all_cores([batch])[0])
 
 
 @program
 def _informed(
     draws: Float[Array, "1 parameter"],
+    bodies: Float[Array, "body channel"],
     arrays: tuple[Any, ...],
     model: ArmModel,
     moving: tuple[tuple[int, ...], int],
     names: tuple[Any, ...],
-) -> tuple[Array, Array, Array, Array]:
-    numbers, times, angle, scales, weights, bodies, inputs = arrays
+) -> tuple[Array, Array, Array]:
+    recorded, size = _recorded(draws[0], arrays, model, moving, names)
+    still = jnp.zeros(size, draws.dtype)
+
+    def push(tangent: Array) -> tuple[Array, Array, Array]:
+        return jax.jvp(lambda a: recorded(a, arrays[0]), (still,), (tangent,), has_aux=True)
+
+    basis = jnp.eye(size, dtype=still.dtype)
+    table, columns, successful = jax.vmap(push, out_axes=(None, 0, None))(basis)
+    found = jnp.einsum("isc,jsc,bc->bij", columns, columns, bodies)
+    return found[None], (table / arrays[3][None])[None], successful[None]
+
+
+@program
+def _slopes(
+    items: tuple[Array, Array, Array],
+    counts: Float[Array, " channel"],
+    arrays: tuple[Any, ...],
+    model: ArmModel,
+    moving: tuple[tuple[int, ...], int],
+    names: tuple[Any, ...],
+) -> Float[Array, "1 number"]:
+    draw, directions, signs = (item[0] for item in items)
+    recorded, size = _recorded(draw, arrays, model, moving, names)
+    still = jnp.zeros(size, draw.dtype)
+
+    def information(at: Array) -> Array:
+        def push(tangent: Array) -> Array:
+            return jax.jvp(lambda a: recorded(a, at)[0], (still,), (tangent,))[1]
+
+        return jnp.einsum("dsc,c,d->", jax.vmap(push)(directions) ** 2, counts, signs)
+
+    return jax.jacfwd(information)(arrays[0])[None]
+
+
+def _recorded(
+    draw: Float[Array, " parameter"],
+    arrays: tuple[Any, ...],
+    model: ArmModel,
+    moving: tuple[tuple[int, ...], int],
+    names: tuple[Any, ...],
+) -> tuple[Callable[[Array, Array], tuple[Array, Array]], int]:
+    """All channels over their noise, and whether they were found, by what is free and a command.
+
+    What is free is counted from a draw on, in the scales of the experiment: so many numbers.
+    """
+    _, times, scales, weights, angle, inputs = arrays
     joints, count = moving
     paths, own, ties, channels = names
     ready = model.for_derivatives((*paths, *_DISTURBANCE))
-    size = len(paths) + sum(each for _, each in own)
-    still = jnp.zeros(size, draws.dtype)
 
     def recorded(amounts: Array, at: Array) -> tuple[Array, Array]:
-        values = draws[0] + amounts[: len(paths)] * scales
+        values = draw + amounts[: len(paths)] * scales
         there = tied(replace(ready, {path: values[i] for i, path in enumerate(paths)}), ties)
         moved, start = inputs, len(paths)
         for path, each in own:
@@ -322,22 +393,7 @@ def _informed(
         columns = jnp.stack([predicted[name] for name in channels], axis=-1)
         return columns * weights[None], successful
 
-    def information(at: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-        def push(tangent: Array) -> tuple[Array, Array, Array]:
-            return jax.jvp(lambda a: recorded(a, at), (still,), (tangent,), has_aux=True)
-
-        basis = jnp.eye(size, dtype=still.dtype)
-        table, columns, successful = jax.vmap(push, out_axes=(None, 0, None))(basis)
-        found = jnp.einsum("isc,jsc,bc->bij", columns, columns, bodies)
-        return found, (found, table / weights[None], successful)
-
-    def turn(tangent: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-        _, slope, aux = jax.jvp(information, (numbers,), (tangent,), has_aux=True)
-        return slope, aux
-
-    basis = jnp.eye(len(numbers), dtype=numbers.dtype)
-    slopes, (values, predicted, successful) = jax.vmap(turn, out_axes=(0, None))(basis)
-    return values[None], slopes[None], predicted[None], successful[None]
+    return recorded, len(paths) + sum(each for _, each in own)
 
 
 _WORSE = 3.0  # what a command that cannot be simulated is worse by than the best one, in logarithms
@@ -353,8 +409,11 @@ class Objective(Protocol):
 
     markers: tuple[int, ...]
 
-    def __call__(self, numbers: Numbers) -> tuple[float, Float[np.ndarray, " number"]]:
-        """The logarithm of the error and its gradient; NaN where nothing can be simulated."""
+    def __call__(self, numbers: Numbers) -> float:
+        """The logarithm of the error; NaN where nothing can be simulated."""
+
+    def slope(self, numbers: Numbers) -> Float[np.ndarray, " number"]:
+        """Its gradient."""
 
     def choose(self, numbers: Numbers) -> None:
         """Change to the markers that tell most of a command."""
@@ -402,7 +461,7 @@ class Search:
             values = []
             for start in starts:
                 self.objective.choose(start)
-                values.append(self._evaluate(start)[0])
+                values.append(self._evaluate(start))
             order = np.argsort(np.nan_to_num(values, nan=np.inf), kind="stable")
             for number, index in enumerate(order[:most], 1):
                 self._start = number
@@ -428,7 +487,7 @@ class Search:
             end = minimize(
                 self._safe,
                 numbers,
-                jac=True,
+                jac=self._slope,
                 method="SLSQP",
                 bounds=[(-1.0, 1.0)] * len(numbers),
                 constraints=[self.series.constraint()],
@@ -438,23 +497,25 @@ class Search:
             if self.value < before:
                 self.status = "iteration limit" if end.status == _LIMIT else "converged"
 
-    def _safe(self, numbers: Numbers) -> tuple[float, np.ndarray]:
-        value, slope = self._evaluate(numbers)
-        if np.isfinite(value) and np.all(np.isfinite(slope)):
-            return value, slope
-        return self.value + _WORSE, np.zeros_like(numbers)
+    def _safe(self, numbers: Numbers) -> float:
+        value = self._evaluate(numbers)
+        return value if np.isfinite(value) else self.value + _WORSE
 
-    def _evaluate(self, numbers: Numbers) -> tuple[float, np.ndarray]:
+    def _slope(self, numbers: Numbers) -> np.ndarray:
+        slope = self.objective.slope(self.series.within(numbers))
+        return slope if np.all(np.isfinite(slope)) else np.zeros_like(numbers)
+
+    def _evaluate(self, numbers: Numbers) -> float:
         # What rounding moved beyond a limit is put back.
         numbers = self.series.within(numbers)
-        value, slope = self.objective(numbers)
+        value = self.objective(numbers)
         if value < self.value:
             self.best, self.value, self.markers = numbers, value, self.objective.markers
         told = Evaluation(len(self.evaluations) + 1, self._start, value, self.value)
         self.evaluations.append(told)
         if self.progress is not None:
             self.progress(told)
-        return value, slope
+        return value
 
 
 def starts_of(series: CommandSeries, count: int) -> list[Numbers]:

@@ -92,21 +92,22 @@ def gust_spectrum(
 
 def gust_coherence(
     places: Float[np.ndarray, "place 3"],
-    frequency: float,
+    frequency: npt.ArrayLike,
     *,
     along: Float[np.ndarray, "3"],
     speed: float,
     length_scale: float,
     decay: float = DECAY,
-) -> Float[np.ndarray, "place place"]:
-    """Root coherences of gusts at places (m) and a frequency (Hz); 1 on the diagonal.
+) -> Float[np.ndarray, "*frequency place place"]:
+    """Root coherences of gusts at places (m) and frequencies (Hz); 1 on the diagonal.
 
     The lag along the mean flow, a direction of length 1, is left out. Speed is in m/s, the length
     scale in m; the decay is over distances across the mean flow.
     """
     apart = places[:, None] - places[None]
     across = np.linalg.norm(apart - (apart @ along)[..., None] * along, axis=-1)
-    root: np.ndarray = np.exp(-decay * across * np.hypot(frequency / speed, _SLOW / length_scale))
+    rates = np.hypot(np.asarray(frequency) / speed, _SLOW / length_scale)
+    root: np.ndarray = np.exp(-decay * across * rates[..., None, None])
     return root
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import root
 
-from ...mechanics.arm import acceleration, link_centres
+from ...mechanics.arm import Arm, acceleration, link_centres
 from ...models import ArmModel, recorded_channels
 from ...runtime.arrays import Array, Float
 from ...runtime.programs import program
@@ -57,6 +58,42 @@ class Linear(NamedTuple):
     moves: Float[Array, "link 3 joint"]
 
 
+def _mean_acceleration(
+    arm: Arm, command: Array, spread: Array
+) -> Callable[[Array, Array, Array, Array], Array]:
+    """The acceleration by angles, rates, winds and their rates, over the relative velocities."""
+    nodes = jnp.asarray(list(itertools.product(_POINTS, repeat=3)))
+    weights = jnp.asarray([np.prod(part) for part in itertools.product(_WEIGHTS, repeat=3)])
+
+    def mean(angles: Array, rates: Array, wind: Array, wind_rate: Array) -> Array:
+        def at(node: Array) -> Array:
+            return acceleration(arm, angles, rates, command, wind + spread @ node, wind_rate)
+
+        return weights @ jax.vmap(at)(nodes)
+
+    return mean
+
+
+@program
+def unbalanced(
+    model: ArmModel,
+    command: Float[Array, " joint"],
+    angles: Float[Array, " joint"],
+    mean: Float[Array, "3"],
+    spread: Float[Array, "link 3 3"],
+) -> tuple[Array, Array]:
+    """`unbalanced` and `by_angle` of `linear` alone."""
+    accelerated = _mean_acceleration(model.arm, command, spread)
+    steady = jnp.broadcast_to(mean, (model.arm.count, 3))
+
+    def at_rest(angles: Array) -> tuple[Array, Array]:
+        found = accelerated(angles, jnp.zeros_like(angles), steady, jnp.zeros_like(steady))
+        return found, found
+
+    slope, found = jax.jacfwd(at_rest, has_aux=True)(angles)
+    return found, slope
+
+
 @program
 def linear(
     model: ArmModel,
@@ -74,16 +111,9 @@ def linear(
         spread: root of the covariance of each link's velocity relative to the air, m/s.
     """
     arm = model.arm
-    nodes = jnp.asarray(list(itertools.product(_POINTS, repeat=3)))
-    weights = jnp.asarray([np.prod(part) for part in itertools.product(_WEIGHTS, repeat=3)])
+    mean_acceleration = _mean_acceleration(arm, command, spread)
     still = jnp.zeros_like(angles)
     steady = jnp.broadcast_to(mean, (arm.count, 3))
-
-    def mean_acceleration(angles: Array, rates: Array, wind: Array, wind_rate: Array) -> Array:
-        def at(node: Array) -> Array:
-            return acceleration(arm, angles, rates, command, wind + spread @ node, wind_rate)
-
-        return weights @ jax.vmap(at)(nodes)
 
     def shown(angles: Array, rates: Array) -> Array:
         # What sensors ask of a motion, of one instant.
@@ -127,18 +157,15 @@ def at_rest(
     # Spectra are late by a phase.
     model = dataclasses.replace(model, sensors=model.sensors.without_clocks())
 
-    def about(angles: np.ndarray) -> Linear:
-        given = (command, angles, mean, spread)
-        return linear(model, names, *(jnp.asarray(item, float) for item in given))
+    def off(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        given = (jnp.asarray(item, float) for item in (command, angles, mean, spread))
+        found, slope = unbalanced(model, *given)
+        return np.asarray(found), np.asarray(slope)
 
-    found = root(
-        lambda angles: np.asarray(about(angles).unbalanced),
-        begin,
-        jac=lambda angles: np.asarray(about(angles).by_angle),
-        options={"xtol": 1e-13},
-    )
+    found = root(off, begin, jac=True, options={"xtol": 1e-13})
+    given = (jnp.asarray(item, float) for item in (command, found.x, mean, spread))
     # As arrays of NumPy, in which the rest of it is done.
-    values: Any = [np.asarray(item) for item in about(found.x)]
+    values: Any = [np.asarray(item) for item in linear(model, names, *given)]
     here = Linear(*values)
     # A step of Newton's method from here, which is what remains of the angles.
     left = np.linalg.lstsq(here.by_angle, here.unbalanced, rcond=None)[0]
@@ -197,7 +224,7 @@ class Turbulence:
         along = self.mean / self.speed
         carried = {"speed": self.speed, "length_scale": self.length_scale}
         about: Any = {"along": along, "decay": self.decay, **carried}
-        coherence = np.stack([gust_coherence(places, float(f), **about) for f in frequencies])
+        coherence = gust_coherence(places, frequencies, **about)
         # Places that are one have the same wind.
         root = np.linalg.cholesky(coherence + 1e-9 * np.eye(len(places)))
         late = np.exp(-2j * np.pi * frequencies[:, None] * (places @ along) / self.speed)

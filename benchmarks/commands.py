@@ -1,0 +1,145 @@
+"""What each command takes, in its first process and in a later one, and what it compiles.
+
+A cold process begins with an empty cache, which the warm one after it finds filled. Times are those
+on the clock, which is what a user waits for: on a quiet machine. The exit status says whether each
+warm process ended within its limit.
+
+    python -m benchmarks.commands [--quick] [--only NAME ...] [--beside CHECKOUT] [--out FILE]
+"""
+
+import argparse
+import dataclasses
+import sys
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.fit_process import process
+from benchmarks.measuring import RESULTS, checkouts_of, columns, store
+
+RUN = "data/synthetic/base_step.csv"
+AIR = "--wind 0,0.2,0.05 --gusts 0.2:2 --coherence 12"
+MOST = 8.0  # s, of a command that is no study
+
+
+@dataclasses.dataclass(frozen=True)
+class Command:
+    """A command with its arguments, of which `{out}` is a folder, and `{fit}` that of a fit.
+
+    Attributes:
+        most: what a warm process may take, s.
+        after: what has to be there, as another command.
+    """
+
+    arguments: str
+    most: float = MOST
+    after: str | None = None
+
+
+COMMANDS = {
+    "check": Command(f"check {RUN}"),
+    "simulate": Command("simulate --ramp 1=30 --out {out}/run.csv --force"),
+    "fit": Command("fit fits/base_step.toml --out {out} --force"),
+    "suspects": Command("suspects {fit} --out {out}/suspects.json --force"),
+    "influence": Command("influence {fit} --out {out}/influence.json --force"),
+    "predict": Command(f"predict --model {{fit}} --data {RUN} --out {{out}}/table.csv --force"),
+    "report": Command("report {fit} --out {out}/report.html --force"),
+    "joint": Command("joint --out {out} --force"),
+    "fill": Command("fill --out {out} --force"),
+    "mission": Command("mission missions/naraha.toml --out {out} --force", 10.0),
+    "wind": Command(
+        "wind --data {out}/resting.csv --wind 0,0.2,0.05 --skip 30 --out {out} --force",
+        20.0,
+        f"simulate {AIR} --duration 330 --rate 5 --channels all --noise position_m=0.001 "
+        "--out {out}/resting.csv --force",
+    ),
+    "design": Command("design {fit} --for air.drag_coefficient --out {out} --force", 60.0),
+    "posterior": Command("posterior {fit} --out {out} --force", 180.0),
+}
+QUICK = ("check", "fit")
+
+
+def measure(
+    names: Iterable[str], checkouts: dict[str, Path], console: Console
+) -> dict[str, dict[str, Any]]:
+    """By command and checkout, what a cold process and a warm one take."""
+    found: dict[str, dict[str, Any]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        fits = {which: root / f"fit {which}" for which in checkouts}
+        for which, checkout in checkouts.items():
+            process(
+                checkout, root / "others", _of(COMMANDS["fit"].arguments, fits[which], fits[which])
+            )
+        for name in names:
+            found[name] = {"most_s": COMMANDS[name].most}
+            for which, checkout in checkouts.items():
+                cache, out = root / f"{name} {which}", root / f"{name} out of {which}"
+                out.mkdir()
+                command = COMMANDS[name]
+                if command.after is not None:
+                    process(checkout, root / "others", _of(command.after, out, fits[which]))
+                arguments = _of(command.arguments, out, fits[which])
+                cold, warm = (process(checkout, cache, arguments) for _ in range(2))
+                found[name][which] = {"cold": cold, "warm": warm}
+            console.print(f"{name}: done")
+    return found
+
+
+def _of(arguments: str, out: Path, fit: Path) -> list[str]:
+    return [part.format(out=out, fit=fit) for part in arguments.split()]
+
+
+def table(found: dict[str, dict[str, Any]]) -> Table:
+    """A row for each command and checkout."""
+    rows = columns(
+        "giajax as a process",
+        "",
+        "cold, s",
+        "programs",
+        "warm, s (at most)",
+        "of it processor time, s",
+        "compiled again",
+    )
+    for name, each in found.items():
+        for which in each.keys() - {"most_s"}:
+            cold, warm = each[which]["cold"], each[which]["warm"]
+            rows.add_row(
+                name if which == "here" else f"{name}, {which}",
+                f"{cold['clock_s']:.1f}",
+                str(cold["compiled"]),
+                f"{warm['clock_s']:.1f} ({each['most_s']:g})",
+                f"{warm['processor_s']:.1f}",
+                str(warm["compiled"] - warm["cached"]),
+            )
+    return rows
+
+
+def are_held(found: dict[str, dict[str, Any]]) -> bool:
+    """Whether all warm processes ended within their limits."""
+    return all(each["here"]["warm"]["clock_s"] <= each["most_s"] for each in found.values())
+
+
+def main() -> int:
+    """Measure, show, write, and say by the exit status whether the limits are held."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="two commands: does it run?")
+    parser.add_argument("--only", action="append", choices=COMMANDS, help="a command; repeatable")
+    parser.add_argument("--beside", type=Path, help="a checkout to measure, too")
+    parser.add_argument("--out", type=Path, default=RESULTS / "commands.json", help="JSON to write")
+    arguments = parser.parse_args()
+    names = arguments.only or (QUICK if arguments.quick else tuple(COMMANDS))
+    console = Console()
+    found = measure(names, checkouts_of(arguments.beside), console)
+    console.print(table(found))
+    store(found, arguments.out)
+    console.print(f"written to {arguments.out}")
+    return int(not arguments.quick and not are_held(found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
