@@ -107,6 +107,7 @@ bench: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks.options
 	$(BIN)/python -m benchmarks.right_model
 	$(BIN)/python -m benchmarks.hysteresis
+	$(BIN)/python -m benchmarks.commands
 
 bench-check: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks.bench --check $(BENCH_ARGS)

@@ -22,7 +22,7 @@ from benchmarks.fit_process import process
 from benchmarks.measuring import RESULTS, checkouts_of, columns, store
 
 RUN = "data/synthetic/base_step.csv"
-AIR = "--wind 0,0.2,0.05 --gusts 0.2:2 --coherence 12"
+AIR = "--wind 0,0.4,0.1 --gusts 0.2:2 --coherence 12"
 MOST = 8.0  # s, of a command that is no study
 
 
@@ -52,10 +52,10 @@ COMMANDS = {
     "fill": Command("fill --out {out} --force"),
     "mission": Command("mission missions/naraha.toml --out {out} --force", 10.0),
     "wind": Command(
-        "wind --data {out}/resting.csv --wind 0,0.2,0.05 --skip 30 --out {out} --force",
+        "wind --data {out}/resting.csv --wind 0,0.3,0.075 --highest 0.5 --out {out} --force",
         20.0,
-        f"simulate {AIR} --duration 330 --rate 5 --channels all --noise position_m=0.001 "
-        "--out {out}/resting.csv --force",
+        f"simulate --links 6 {AIR} --duration 630 --rate 5 --channels all "
+        "--noise position_m=0.001 --out {out}/resting.csv --force",
     ),
     "design": Command("design {fit} --for air.drag_coefficient --out {out} --force", 60.0),
     "posterior": Command("posterior {fit} --out {out} --force", 180.0),

@@ -171,6 +171,18 @@ def test_the_benchmark_of_the_right_model_runs(tmp_path):
 
 
 @pytest.mark.long
+def test_the_benchmark_of_commands_runs(tmp_path):
+    out = tmp_path / "commands.json"
+    printed = benchmark("commands", "--quick", "--out", out)
+    found = json.loads(out.read_text())
+    assert set(found) == {"check", "fit"}
+    warm = found["fit"]["here"]["warm"]
+    assert warm["compiled"] == warm["cached"]
+    assert warm["clock_s"] < found["fit"]["here"]["cold"]["clock_s"]
+    assert "compiled again" in printed
+
+
+@pytest.mark.long
 def test_the_benchmark_of_batches_runs(tmp_path):
     out = tmp_path / "new" / "batch.json"
     benchmark("batch", "--quick", "--out", out)

@@ -139,6 +139,7 @@ Model = Callable[[np.ndarray], Expected]
 
 # In logarithms and radians.
 _STEP = 1e-3
+_REFUSED = 8  # steps in a row, of which each is a quarter of the one before: none will do
 _OPTIONS = {"initial_trust_radius": 0.3, "max_trust_radius": 0.7, "gtol": 0.1, "maxiter": 40}
 
 
@@ -235,9 +236,14 @@ def most_likely(
             known[key] = gradient_and_information(model(at), slopes(model, at), recorded)
         return known[key]
 
+    costs: list[float] = []
+
     def said(intermediate_result: OptimizeResult) -> None:
+        costs.append(intermediate_result.fun)
         if progress is not None:
-            progress(f"log-likelihood {-intermediate_result.fun:.6g}")
+            progress(f"log-likelihood {-costs[-1]:.6g}")
+        if len(costs) > _REFUSED and costs[-1] == costs[-1 - _REFUSED]:
+            raise StopIteration
 
     return minimize(
         cost,
