@@ -28,7 +28,10 @@ MOST = 8.0  # s, of a command that is no study
 
 @dataclasses.dataclass(frozen=True)
 class Command:
-    """A command with its arguments, of which `{out}` is a folder, and `{fit}` that of a fit.
+    """A command with its arguments.
+
+    Of these `{out}` is an empty folder, `{fit}` that of a fit, and `{made}` that of what is there
+    before.
 
     Attributes:
         most: what a warm process may take, s.
@@ -52,10 +55,10 @@ COMMANDS = {
     "fill": Command("fill --out {out} --force"),
     "mission": Command("mission missions/naraha.toml --out {out} --force", 10.0),
     "wind": Command(
-        "wind --data {out}/resting.csv --wind 0,0.3,0.075 --highest 0.5 --out {out} --force",
+        "wind --data {made}/resting.csv --wind 0,0.3,0.075 --highest 0.5 --out {out} --force",
         20.0,
         f"simulate --links 6 {AIR} --duration 630 --rate 5 --channels all "
-        "--noise position_m=0.001 --out {out}/resting.csv --force",
+        "--noise position_m=0.001 --out {made}/resting.csv",
     ),
     "design": Command("design {fit} --for air.drag_coefficient --out {out} --force", 60.0),
     "posterior": Command("posterior {fit} --out {out} --force", 180.0),
@@ -73,25 +76,29 @@ def measure(
         fits = {which: root / f"fit {which}" for which in checkouts}
         for which, checkout in checkouts.items():
             process(
-                checkout, root / "others", _of(COMMANDS["fit"].arguments, fits[which], fits[which])
+                checkout, root / "others", _of(COMMANDS["fit"].arguments, fits[which], root, root)
             )
         for name in names:
             found[name] = {"most_s": COMMANDS[name].most}
             for which, checkout in checkouts.items():
-                cache, out = root / f"{name} {which}", root / f"{name} out of {which}"
-                out.mkdir()
-                command = COMMANDS[name]
+                cache, made = root / f"{name} {which}", root / f"{name} made {which}"
+                command, processes = COMMANDS[name], []
+                made.mkdir()
                 if command.after is not None:
-                    process(checkout, root / "others", _of(command.after, out, fits[which]))
-                arguments = _of(command.arguments, out, fits[which])
-                cold, warm = (process(checkout, cache, arguments) for _ in range(2))
+                    process(checkout, root / "others", _of(command.after, made, fits[which], made))
+                for turn in ("cold", "warm"):
+                    out = root / f"{name} {which} {turn}"
+                    out.mkdir()
+                    arguments = _of(command.arguments, out, fits[which], made)
+                    processes.append(process(checkout, cache / "cache", arguments))
+                cold, warm = processes
                 found[name][which] = {"cold": cold, "warm": warm}
             console.print(f"{name}: done")
     return found
 
 
-def _of(arguments: str, out: Path, fit: Path) -> list[str]:
-    return [part.format(out=out, fit=fit) for part in arguments.split()]
+def _of(arguments: str, out: Path, fit: Path, made: Path) -> list[str]:
+    return [part.format(out=out, fit=fit, made=made) for part in arguments.split()]
 
 
 def table(found: dict[str, dict[str, Any]]) -> Table:
@@ -106,7 +113,7 @@ def table(found: dict[str, dict[str, Any]]) -> Table:
         "compiled again",
     )
     for name, each in found.items():
-        for which in each.keys() - {"most_s"}:
+        for which in [key for key in each if key != "most_s"]:
             cold, warm = each[which]["cold"], each[which]["warm"]
             rows.add_row(
                 name if which == "here" else f"{name}, {which}",

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 
 import jax
 import jax.numpy as jnp
@@ -184,6 +185,23 @@ def test_a_result_may_end_the_others_and_an_error_does():
         results = run_in_threads([lambda tell: "end"] * 9, most, until=lambda result: True)
         assert results[0] == "end"
         assert results[-1] is None
+
+
+def test_an_error_of_a_later_job_is_not_the_interruption_of_an_earlier_one():
+    failed = threading.Event()
+
+    def patient(tell):
+        failed.wait(10)
+        for _ in range(1000):
+            tell(lambda: None)
+            time.sleep(0.01)
+
+    def wrong(tell):
+        failed.set()
+        raise InputError("a job that cannot be done")
+
+    with pytest.raises(InputError, match="cannot be done"):
+        run_in_threads([patient, wrong], 2, until=lambda _: False)
 
 
 def scaled(item, factor):

@@ -392,8 +392,13 @@ def test_a_wrong_model_is_no_exchange_of_points():
     predicted = np.stack([times / 25, 1.5 * times / 25], axis=1)
     swapped = predicted + 1e-2 * np.sin(99 * times)[:, None]
     drifting = swapped - [0.0, 1.0] * np.clip(times / 10 - 1.5, 0, 1)[:, None]
+    lost = swapped.copy()
+    lost[200, 1] = 0.0  # a cell that the other point's place explains better, and no exchange
+    both_lost = swapped.copy()
+    both_lost[200] = 0.0
     swapped[150:] = swapped[150:, ::-1]
-    for observed, said in (drifting, []), (swapped, ["points: link08 and tip exchanged"]):
+    named = ["points: link08 and tip exchanged"]
+    for observed, said in (drifting, []), (lost, []), (both_lost, []), (swapped, named):
         recording = Run.from_arrays(
             times, dict(zip(names, observed.T, strict=True)), definition={"free_motion": True}
         )

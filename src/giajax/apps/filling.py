@@ -400,6 +400,7 @@ def filling_curve(
             tell(lambda: None)  # after Ctrl-C no further one begins
             guess, pair = one(diameter, guess)
             found.append(pair)
+        tell(lambda: None)
         return found
 
     jobs = [functools.partial(chain, own=others[k::2]) for k in (0, 1)]

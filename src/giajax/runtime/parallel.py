@@ -86,6 +86,11 @@ def run_in_threads(
         except BaseException:
             stop.set()
             raise
+    # What stopped the others comes before that they were stopped.
+    for future in futures:
+        error = future.exception()
+        if error is not None and not isinstance(error, KeyboardInterrupt):
+            raise error
     return [future.result() for future in futures]
 
 

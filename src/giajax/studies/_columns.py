@@ -164,6 +164,9 @@ def _row_of(
 
 _STILL = 2.0  # times the variance of the noise: what stands still has no more
 _JUMP = 20.0  # of chi-square, that two points jump by where they are exchanged from one row on
+_NEARER = (
+    0.25  # of the squares by which they jump: as far as they are then from where they would be
+)
 _ALWAYS = 0.9  # of what the best rows take: points that are exchanged in all of them take as much
 
 Cells = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -285,7 +288,7 @@ def _taken_for(
     total = gains[0] + gains[1]
     first, end = _best_stretch(total)
     inner = [row for row in (first, end) if 0 < row < len(rows) and run[row - 1] == run[row]]
-    if any(-2 * apart[row - 1] @ apart[row] < _JUMP for row in inner):
+    if not all(_cross(pair, rows[row - 1 : row + 1]) for row in inner):
         # Or they are exchanged from the first row on, and nowhere the other way.
         always = np.sum(total) > _ALWAYS * np.sum(total[first:end])
         first, end = 0, len(rows) * bool(always)
@@ -293,7 +296,11 @@ def _taken_for(
     for name, gain in zip((names, (names[1], names[0])), gains, strict=True):
         first, end = _best_stretch(gain)
         count = np.sum(both[rows][first:end] > 0)
-        if np.sum(apart[first:end] ** 2) < 2 * _STILL * count:
+        inner = [row for row in (first, end) if 0 < row < len(rows) and run[row - 1] == run[row]]
+        shown = pair if name == names else pair[::-1]
+        if np.sum(apart[first:end] ** 2) < 2 * _STILL * count and all(
+            _stays(shown, rows[row - 1 : row + 1]) for row in inner
+        ):
             found.append((f"{name[0]} shows {name[1]}", gain, first, end))
     return {
         f"points: {name}": (
@@ -303,6 +310,29 @@ def _taken_for(
         )
         for name, gain, first, end in found
     }
+
+
+def _cross(pair: tuple[Cells, Cells], rows: np.ndarray) -> bool:
+    """Whether two points go on where the other one was, from a row to the next.
+
+    A cell that was lost makes one of them jump, and to nowhere near the other.
+    """
+    one, other = pair
+    stays = _jump(one, one, rows) + _jump(other, other, rows)
+    crosses = _jump(one, other, rows) + _jump(other, one, rows)
+    return stays - crosses >= _JUMP and crosses < _NEARER * stays
+
+
+def _stays(pair: tuple[Cells, Cells], rows: np.ndarray) -> bool:
+    """Whether the second point goes on as it was where the first one jumps to it, or from it."""
+    return _jump(pair[1], pair[1], rows) < _NEARER * _jump(pair[0], pair[0], rows)
+
+
+def _jump(to: Cells, since: Cells, rows: np.ndarray) -> float:
+    """Squares by which a point is off, in the second row, where another would have moved to."""
+    moved = np.nan_to_num(since[1][rows[1]] - since[1][rows[0]])
+    weight = np.minimum(to[2][rows[1]], since[2][rows[0]])
+    return float(np.sum((weight * (to[0][rows[1]] - since[0][rows[0]] - moved)) ** 2))
 
 
 def _lost(cells: Mapping[str, Cells], first: int, end: int) -> dict[str, Way]:

@@ -342,7 +342,8 @@ def ladder(
 
     A parameter is freed, a choice of the model is made the other way, and recorded axes are
     exchanged; each fit begins where the last one ended, or began, if its suspects are of there.
-    What was freed before and has come back to the value that it was held at is held again. It ends
+    What was freed before and has come back to the value that it was held at is held again, and of a
+    drive that was freed alone it is asked whether all are as that one. It ends
     where no suspect is significant, or where what is tried makes BIC larger. A suspect that is one
     number for many elements (the mass of all links) is no single parameter of a fit, and is passed
     over.
@@ -449,9 +450,9 @@ class Climb:
         for spare in _spare(self.taken):
             held = {spare.path: spare.value}
             self._take_if_better(f"without {spare.path}", spare, removed=True, fix=held)
-        for one in _standing_for_all(self.taken):
-            path, of = one.path.split(" = ")
-            self._take_if_better(one.path, one, ties={path: of})
+        for alone in _standing_for_all(self.taken):
+            path, of = alone.path.split(" = ")
+            self._take_if_better(alone.path, alone, ties={path: of})
         return False
 
     def _take_if_better(
@@ -466,6 +467,8 @@ class Climb:
         noise = self.last.noise
         if other.step(noise).bic < self.last.step(noise).bic:
             self.take(other)
+        elif not removed:
+            self.passed.append(other)
 
     def steps(self) -> list[Step]:
         """What was taken, with the white noise of the last."""
@@ -526,15 +529,15 @@ def _standing_for_all(steps: Sequence[Step | Measured]) -> list[Suspect]:
     """
     last = steps[-1].result
     single = capabilities.one_by_one(last.model)
-    freed: dict[str, list[Suspect]] = {}
+    freed: dict[str, dict[str, Suspect]] = {}
     for step in steps:
         path = "" if step.suspect is None else step.suspect.path
         name, _, index = path.partition("[")
         if index and name in single and path in last.free and step.suspect is not None:
-            freed.setdefault(name, []).append(step.suspect)
+            freed.setdefault(name, {})[path] = step.suspect
     ties = FitSettings.shared_with(last.config).ties
     return [
         dataclasses.replace(one, path=f"{name} = {one.path}", kind="switch", p_value=None)
-        for name, (one, *others) in freed.items()
+        for name, (one, *others) in ((name, each.values()) for name, each in freed.items())
         if not others and name not in ties
     ]

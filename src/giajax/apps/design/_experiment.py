@@ -123,14 +123,14 @@ class RobustError:
             worst = int(np.argmax([value for value, _ in each]))
             some = slice(worst, worst + 1)
         # Of a criterion of few parameters this matrix has but as many values that are not 0.
-        signs, directions = np.linalg.eigh([by_information for _, by_information in each[some]])
-        most = np.argsort(-np.abs(signs), axis=1)[:, : self.criterion.rank]
+        factors, directions = np.linalg.eigh([by_information for _, by_information in each[some]])
+        most = np.argsort(-np.abs(factors), axis=1)[:, : self.criterion.rank]
         along = slopes(
             self.experiment,
             self.series.at(numbers),
             self.draws[some],
             np.take_along_axis(directions.swapaxes(1, 2), most[..., None], axis=1),
-            np.take_along_axis(signs, most, axis=1),
+            np.take_along_axis(factors, most, axis=1),
             self.markers,
         )
         return along.mean(axis=0)

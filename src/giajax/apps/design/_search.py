@@ -290,17 +290,17 @@ def slopes(
     command: Command,
     draws: Draws,
     directions: Float[np.ndarray, "draw direction parameter"],
-    signs: Float[np.ndarray, "draw direction"],
+    factors: Float[np.ndarray, "draw direction"],
     bodies: Sequence[int],
 ) -> Float[np.ndarray, "draw number"]:
-    """Derivatives by the numbers of a command of the sum of s d^T I d, s the signs.
+    """Derivatives by the numbers of a command of the sum of f d^T I d, f the factors.
 
     I is the information of some bodies, and d each of the directions.
     """
     dtype = jnp.result_type(float)
     counts = jnp.asarray(np.isin(experiment.bodies, bodies), dtype)
     shared = (counts, *_shared(experiment, command))
-    given = (draws, directions, signs)
+    given = (draws, directions, factors)
     items = tuple(np.asarray(array, dtype) for array in given)
     batch = Batch(_slopes, items, shared, np.ones(len(draws)), 1)
     return np.asarray(run_on_all_cores([batch])[0])
@@ -349,7 +349,7 @@ def _slopes(
     moving: tuple[tuple[int, ...], int],
     names: tuple[Any, ...],
 ) -> Float[Array, "1 number"]:
-    draw, directions, signs = (item[0] for item in items)
+    draw, directions, factors = (item[0] for item in items)
     recorded, size = _recorded(draw, arrays, model, moving, names)
     still = jnp.zeros(size, draw.dtype)
 
@@ -357,7 +357,7 @@ def _slopes(
         def push(tangent: Array) -> Array:
             return jax.jvp(lambda a: recorded(a, at)[0], (still,), (tangent,))[1]
 
-        return jnp.einsum("dsc,c,d->", jax.vmap(push)(directions) ** 2, counts, signs)
+        return jnp.einsum("dsc,c,d->", jax.vmap(push)(directions) ** 2, counts, factors)
 
     return jax.jacfwd(information)(arrays[0])[None]
 

@@ -82,7 +82,7 @@ def unbalanced(
     mean: Float[Array, "3"],
     spread: Float[Array, "link 3 3"],
 ) -> tuple[Array, Array]:
-    """`unbalanced` and `by_angle` of `linear` alone."""
+    """`unbalanced` and `by_angle` of `linear` alone, by arguments as it has them."""
     accelerated = _mean_acceleration(model.arm, command, spread)
     steady = jnp.broadcast_to(mean, (model.arm.count, 3))
 
