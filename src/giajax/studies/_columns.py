@@ -201,6 +201,12 @@ def points_row(
     for first, end in itertools.pairwise(starts):
         for name, found in _lost(cells, int(first), int(end)).items():
             ways[name] = max(ways.get(name, found), found)
+    # Of whole runs as of other names of columns: a wrong model has points in a wrong order, too.
+    ways = {
+        name: (drop, first, end)
+        for name, (drop, first, end) in ways.items()
+        if end - first < _ALWAYS * starts[-1] or chi_square - drop < chi_square / _FAR_LESS
+    }
     if not ways:
         return []
     name, (drop, first, end) = max(ways.items(), key=lambda way: way[1][0])
