@@ -427,8 +427,11 @@ class Stopping(Curve):
 
 
 @pytest.mark.parametrize("cores", ["1", "2"])
-def test_ctrl_c_while_choices_are_looked_at_ends_it(cores, monkeypatch):
+def test_ctrl_c_while_choices_are_looked_at_ends_it(cores, monkeypatch, request):
     monkeypatch.setenv("GIAJAX_CORES", cores)
+    # A process that a shell began in the background ignores Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     recording = recorded(seed=7)
     model = replace(Interrupted(weights=jnp.ones(2)), TRUTH)
     result = fit(model, recording, free=FREE, check=False, noise_model="white")
