@@ -164,9 +164,7 @@ def _row_of(
 
 _STILL = 2.0  # times the variance of the noise: what stands still has no more
 _JUMP = 20.0  # of chi-square, that two points jump by where they are exchanged from one row on
-_NEARER = (
-    0.25  # of the squares by which they jump: as far as they are then from where they would be
-)
+_NEARER = 0.25  # of the squares by which they jump: so near they are to where they would be
 _ALWAYS = 0.9  # of what the best rows take: points that are exchanged in all of them take as much
 
 Cells = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -292,9 +290,14 @@ def _taken_for(
         gains.append(np.sum(np.where(both > 0, off[0] - off[1], 0.0), axis=1)[rows])
     run = np.searchsorted(starts, rows, side="right")
     total = gains[0] + gains[1]
+
+    def edges(first: int, end: int) -> list[np.ndarray]:
+        """The rows before and after each end of a stretch that lies within a run."""
+        inner = [row for row in (first, end) if 0 < row < len(rows) and run[row - 1] == run[row]]
+        return [rows[row - 1 : row + 1] for row in inner]
+
     first, end = _best_stretch(total)
-    inner = [row for row in (first, end) if 0 < row < len(rows) and run[row - 1] == run[row]]
-    if not all(_cross(pair, rows[row - 1 : row + 1]) for row in inner):
+    if not all(_cross(pair, two) for two in edges(first, end)):
         # Or they are exchanged from the first row on, and nowhere the other way.
         always = np.sum(total) > _ALWAYS * np.sum(total[first:end])
         first, end = 0, len(rows) * bool(always)
@@ -302,10 +305,9 @@ def _taken_for(
     for name, gain in zip((names, (names[1], names[0])), gains, strict=True):
         first, end = _best_stretch(gain)
         count = np.sum(both[rows][first:end] > 0)
-        inner = [row for row in (first, end) if 0 < row < len(rows) and run[row - 1] == run[row]]
         shown = pair if name == names else pair[::-1]
         if np.sum(apart[first:end] ** 2) < 2 * _STILL * count and all(
-            _stays(shown, rows[row - 1 : row + 1]) for row in inner
+            _stays(shown, two) for two in edges(first, end)
         ):
             found.append((f"{name[0]} shows {name[1]}", gain, first, end))
     return {
