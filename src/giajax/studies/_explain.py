@@ -44,6 +44,7 @@ from ._refit import fit_key, refit, with_fitted_state
 from ._stepwise import (
     TRIES,
     AbstractFits,
+    Change,
     Climb,
     Fits,
     Measured,
@@ -149,31 +150,41 @@ class Kept(AbstractFits):
         self._keep({"name": "suspects", "suspects": found})
         return found
 
-    def refit(self, name: str, result: FitResult, runs: Sequence[Run], **changed: Any) -> FitResult:
+    def refits(
+        self, result: FitResult, changes: Sequence[Change]
+    ) -> Sequence[FitResult | InputError]:
         """As of `Fits`, or of the journal."""
-        if (line := self._next(name)) is not None:
-            if line.get("refused") is not None:
-                raise InputError(line["refused"])
-            assert self.folder is not None
-            return load_result(self.folder / FITS / line["fit"])
-        self.say(f"fitting {name} ...")
-        try:
-            # What is not there by then goes on in the fits that follow.
-            limits: dict[str, Any] = {"max_iterations": _ITERATIONS, "progress": stop_if_asked}
-            found = Fits().refit(name, result, runs, budget=self.budget, **changed, **limits)
-        except InputError as error:
-            self._keep({"name": name, "refused": str(error)})
-            raise
-        if found.reason in ("interrupted", "budget"):
-            raise KeyboardInterrupt if found.reason == "interrupted" else _Stopped
-        if self.folder is None:
-            return found
-        file = f"{len(list((self.folder / FITS).glob('*.json'))):03d}.json"
-        path = self.folder / FITS / file
-        write_files({path: found.to_json().encode()}, force=True)
-        self._keep({"name": name, "fit": file})
-        # As it is when the journal is read: what follows is the same to the last digit.
-        return load_result(path)
+        before = [self._next(change.name) for change in changes]
+        found = [self._recorded(line) for line in before if line is not None]
+        missing = changes[len(found) :]
+        for change in missing:
+            self.say(f"fitting {change.name} ...")
+        # What is not there by then goes on in the fits that follow.
+        limits: dict[str, Any] = {"max_iterations": _ITERATIONS, "budget": self.budget}
+        made = Fits().refits(result, missing, **limits) if missing else []
+        for change, fitted in zip(missing, made, strict=True):
+            if isinstance(fitted, InputError):
+                self._keep({"name": change.name, "refused": str(fitted)})
+                found.append(fitted)
+                continue
+            if fitted.reason in ("interrupted", "budget"):
+                raise KeyboardInterrupt if fitted.reason == "interrupted" else _Stopped
+            if self.folder is not None:
+                file = f"{len(list((self.folder / FITS).glob('*.json'))):03d}.json"
+                data = fitted.to_json().encode()
+                write_files({self.folder / FITS / file: data}, force=True)
+                self._keep({"name": change.name, "fit": file})
+                # As it is when the journal is read: what follows is the same to the last digit.
+                fitted = load_result(self.folder / FITS / file)
+            found.append(fitted)
+        return found
+
+    def _recorded(self, line: dict[str, Any]) -> FitResult | InputError:
+        """A fit of the journal, or why there is none."""
+        if line.get("refused") is not None:
+            return InputError(line["refused"])
+        assert self.folder is not None
+        return load_result(self.folder / FITS / line["fit"])
 
 
 _REMEDY = "remove it, and explain the data anew"

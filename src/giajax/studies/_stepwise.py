@@ -1,10 +1,11 @@
 """Stepwise selection: what the residuals ask for is fitted in turn, from where the last ended."""
 
 import abc
+import contextlib
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -13,6 +14,8 @@ from ..fitting import FitResult, Response, Suspect, in_full, matching_runs
 from ..models import AbstractModel, capabilities
 from ..recordings import FitSettings, PriorEntry, Run
 from ..runtime.aliases import warn_of_name
+from ..runtime.parallel import Tell, run_in_threads
+from ..runtime.process import cores, stop_if_asked
 from ..runtime.programs import forget_programs_if_many
 from ..runtime.text import InputError
 from ..schema.parameters import declared, elements, get, left_out
@@ -171,6 +174,19 @@ def _deviation(deviations: Mapping[str, float], name: str) -> float:
     return float(np.mean(alike or list(deviations.values())))
 
 
+@dataclasses.dataclass(frozen=True)
+class Change:
+    """A fit to be made again: what of it is changed, as of `refit`, and the runs as it sees them.
+
+    Its name is told. `apart` are those held out as it sees them.
+    """
+
+    name: str
+    runs: Sequence[Run]
+    changed: Mapping[str, Any]
+    apart: Sequence[Run] = ()
+
+
 class AbstractFits(abc.ABC):
     """What a selection computes, by names that are told and, of a journal, kept."""
 
@@ -179,8 +195,21 @@ class AbstractFits(abc.ABC):
         """What the residuals of a fit ask for."""
 
     @abc.abstractmethod
+    def refits(
+        self, result: FitResult, changes: Sequence[Change]
+    ) -> Sequence[FitResult | InputError]:
+        """Fits again, side by side, or why one cannot be; white noise is the same for all."""
+
     def refit(self, name: str, result: FitResult, runs: Sequence[Run], **changed: Any) -> FitResult:
-        """A fit again with something changed; white noise is the same for all."""
+        """The one fit of a change.
+
+        Raises:
+            InputError: it cannot be evaluated so.
+        """
+        (found,) = self.refits(result, [Change(name, runs, changed)])
+        if isinstance(found, InputError):
+            raise found
+        return found
 
     def measured(self, *of: Any, removed: bool = False) -> Measured:
         """What a fit leaves over, as `Measured.of`."""
@@ -195,10 +224,29 @@ class Fits(AbstractFits):
         forget_programs_if_many()
         return suspects(result, runs)
 
-    def refit(self, name: str, result: FitResult, runs: Sequence[Run], **changed: Any) -> FitResult:
-        """As of `refit`."""
+    def refits(
+        self, result: FitResult, changes: Sequence[Change], **limits: Any
+    ) -> Sequence[FitResult | InputError]:
+        """As of `refit`, on as many cores as there are."""
         forget_programs_if_many()
-        return refit(result, runs, **{"noise_model": "white", **changed})
+
+        def fitted(change: Change, tell: Tell) -> FitResult | InputError:
+            stops = functools.partial(tell, stop_if_asked)
+            asked = {"noise_model": "white", "progress": stops, **limits, **change.changed}
+            try:
+                return refit(result, change.runs, **asked)
+            except InputError as error:
+                return error
+
+        jobs = [functools.partial(fitted, change) for change in changes]
+        found = run_in_threads(jobs, min(cores(), len(jobs)), until=_is_interrupted)
+        if None in found:  # It did not begin.
+            raise KeyboardInterrupt
+        return [each for each in found if each is not None]
+
+
+def _is_interrupted(found: FitResult | InputError) -> bool:
+    return isinstance(found, FitResult) and found.reason == "interrupted"
 
 
 Tried = tuple[Measured, list[Run], list[Run]]
@@ -220,21 +268,31 @@ def tried_steps(
     """
     made: list[Tried] = []
     gained = 0.0
-    for suspect in promising:
-        if len(made) == tries:
-            break
-        if not is_one(result.model, suspect) or _FAR * (suspect.chi_square_drop or 0.0) < gained:
-            continue
-        try:
-            step = _with(result, runs, apart, suspect, fits)
-            made.append((fits.measured(*step, suspect), step[1], step[2]))
+
+    def promised() -> Iterator[tuple[Suspect, Change]]:
+        for suspect in promising:
+            if is_one(result.model, suspect) and _FAR * (suspect.chi_square_drop or 0.0) >= gained:
+                with contextlib.suppress(InputError):  # It cannot be freed; the next one may be.
+                    yield suspect, _freeing(result, runs, apart, suspect)
+
+    following = promised()
+    while asked := list(itertools.islice(following, min(_SIDE_BY_SIDE, tries - len(made)))):
+        found = fits.refits(result, [change for _, change in asked])
+        for (suspect, change), fitted in zip(asked, found, strict=True):
+            if isinstance(fitted, InputError):
+                continue
+            try:
+                one = fits.measured(fitted, change.runs, change.apart, suspect)
+            except InputError:  # Nor can it be evaluated.
+                continue
+            made.append((one, list(change.runs), list(change.apart)))
             if last is not None:
-                one = made[-1][0]
                 gained = max(gained, last.step(one.noise).bic - one.step(one.noise).bic)
-        except InputError:  # It cannot be evaluated so; the next one may be.
-            continue
     return made
 
+
+# So that what is tried does not depend on the machine, on one core as on many.
+_SIDE_BY_SIDE = 2
 
 # A fit takes more of chi-square than its test promises, but hardly so many times as much.
 _FAR = 3.0
@@ -269,31 +327,26 @@ def is_one(model: AbstractModel, suspect: Suspect) -> bool:
     return suspect.kind != "factor" and len(parts) == suspect.degrees_of_freedom
 
 
-def _with(
-    result: FitResult,
-    runs: Sequence[Run],
-    apart: Sequence[Run],
-    suspect: Suspect,
-    fits: AbstractFits,
-) -> tuple[FitResult, list[Run], list[Run]]:
-    """A fit with what a suspect asks for, and the runs and those held out as it sees them."""
-    same, again = (list(runs), list(apart)), functools.partial(fits.refit, suspect.path, result)
+def _freeing(
+    result: FitResult, runs: Sequence[Run], apart: Sequence[Run], suspect: Suspect
+) -> Change:
+    """The change of a fit that a suspect asks for."""
+
+    def change(**changed: Any) -> Change:
+        return Change(suspect.path, runs, changed, apart)
+
     begin: dict[str, Any] = dict(result.history[0].parameters) if suspect.begun else {}
     if suspect.kind == "prior":
-        return again(runs, priors={suspect.path: None}), *same
+        return change(priors={suspect.path: None})
     if suspect.kind == "switch":
         other = capabilities.variants(result.model)[suspect.path]
-        # What a number switches on, as its strength does memory, has that number free.
-        by = suspect.path.partition(" = ")[0]
-        free = [by] if by in declared(other) else []
-        return again(runs, model=other, free=free, start=begin), *same
+        return change(model=other, free=_switched_on(result, other, suspect), start=begin)
     if suspect.kind in ("axes", "columns"):
         mistake = next(
             each for each in mistakes_of(result.model, runs) if each.name == suspect.path
         )
-        right = [mistake.undone(run) for run in runs]
-        start = result.history[0].parameters
-        return again(right, start=start), right, [mistake.undone(run) for run in apart]
+        right, judges = ([mistake.undone(run) for run in each] for each in (runs, apart))
+        return Change(suspect.path, right, {"start": result.history[0].parameters}, judges)
     model = _neutrally(result.model, suspect.path)
     if suspect.kind == "scatter":
         # Each element for itself, held together by how far they scatter.
@@ -301,10 +354,28 @@ def _with(
         size = float(np.max(np.asarray(suspect.estimate)))
         known = {each.path: float(each.value(model)) for each in elements(model, suspect.path)}
         priors = {path: PriorEntry(value=one, deviation=size) for path, one in known.items()}
-        return again(runs, model=model, free=list(priors), priors=priors, start=begin), *same
+        return change(model=model, free=list(priors), priors=priors, start=begin)
     assert suspect.estimate is not None
     begin[suspect.path] = suspect.estimate
-    return again(runs, model=model, free=[suspect.path], start=begin), *same
+    return change(model=model, free=[suspect.path], start=begin)
+
+
+def _switched_on(result: FitResult, other: AbstractModel, suspect: Suspect) -> list[str]:
+    """What a switch frees: the number that switches a part on, and what is a guess of that part.
+
+    As the strength of a memory does, whose yield angle nobody knows either: held, it would let
+    others make up for it.
+    """
+    by, parts = suspect.path.partition(" = ")[0], declared(other)
+    if by not in parts:
+        return []
+    part = by.rpartition(".")[0]
+    guessed = [
+        path
+        for path, one in parts.items()
+        if path.rpartition(".")[0] == part and path != by and one.declaration.assumed
+    ]
+    return [by, *(path for path in guessed if path not in result.free)]
 
 
 def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
