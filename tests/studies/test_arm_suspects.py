@@ -15,6 +15,7 @@ import giajax
 import small_arm
 from giajax.fitting import Suspect
 from giajax.models import ArmModel
+from giajax.runtime.text import InputError
 from giajax.schema.parameters import left_out, replace
 from giajax.studies import inquiry
 from giajax.studies._stepwise import Climb, Fits, Measured
@@ -148,6 +149,41 @@ def test_a_drive_that_seemed_to_be_weak_alone_stands_for_all_that_are():
         assert names == ["-", one.path, *([f"joints.drive_gain = {one.path}"] if tied else [])]
         found = giajax.get(climb.last.result.model, "joints.drive_gain")
         np.testing.assert_allclose(found, np.broadcast_to(gains, 4), atol=0.02)
+
+
+class Refused(Fits):
+    """Fits that are asked for, and of which none can be evaluated."""
+
+    def __init__(self):
+        self.changes = []
+
+    def suspects(self, result, runs):
+        return None
+
+    def refits(self, result, changes):
+        self.changes += changes
+        return [InputError("refused") for _ in changes]
+
+
+def test_a_memory_is_switched_on_with_its_yield_angle_free():
+    """It is a guess: were it held, what else is missing could make up for the wrong loop."""
+    run = recorded({})
+    result = giajax.fit(arm(), run, free=["joints.damping"], max_iterations=2, check=False)
+    climb = Climb([run], [], Refused())
+    climb.take(Measured.of(result, [run], []))
+    switches = [name for name in arm().variants() if " = " in name and "delay" not in name]
+    rows = [Suspect(name, "switch", "", 0.0, 1.0, 0.1, 9.0, 1, 1e-3, True) for name in switches]
+    assert climb.step(len(rows), lambda *_: rows)
+    freed = {change.name: change.changed["free"] for change in climb.fits.changes}
+    assert freed == {
+        **{name: [] for name in switches},
+        "joints.memory.strength = 0.02 N m": [
+            "joints.memory.strength",
+            "joints.memory.yield_angle",
+        ],
+        TIP_AND_HARDENING[0]: ["point_masses.mass"],
+        TIP_AND_HARDENING[1]: ["joints.laws.hardening.cubic"],
+    }
 
 
 @pytest.mark.slow

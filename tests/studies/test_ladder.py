@@ -148,6 +148,22 @@ def test_of_several_that_are_tried_the_lowest_bic_is_taken():
         ladder(result, recording, tries=0)
 
 
+def test_what_is_tried_does_not_depend_on_the_cores(monkeypatch):
+    """Side by side or one after the other, and what cannot be fitted spares the others."""
+    recording = recorded(late=0.05, rub=0.05, seed=2)
+    result = fitted(recording)
+    found = suspects(result, recording)
+    late = found.of("late")
+    impossible = dataclasses.replace(late, estimate=np.inf)
+    ends = []
+    for number in (1, 2):
+        monkeypatch.setattr("giajax.studies._stepwise.cores", lambda number=number: number)
+        one, _, _ = best_step(result, [recording], [], [impossible, late, found.of("rub")], 2)
+        ends.append((one.suspect.path, one.result.cost))
+    assert ends[0] == ends[1]
+    assert ends[0][0] == "late"
+
+
 def test_rungs_among_outliers_are_compared_by_one_likelihood():
     """Each fit takes less noise than the one before: no weight of its own may enter."""
     recording = recorded(late=0.05, seed=2, noise=False)
