@@ -168,10 +168,12 @@ class Refused(Fits):
 def test_a_memory_is_switched_on_with_its_yield_angle_free():
     """It is a guess: were it held, what else is missing could make up for the wrong loop."""
     run = recorded({})
-    result = giajax.fit(arm(), run, free=["joints.damping"], max_iterations=2, check=False)
+    # With a delay of the camera its lag may be that of the drives.
+    begun = replace(arm(), {"camera.delay": 0.02})
+    result = giajax.fit(begun, run, free=["joints.damping"], max_iterations=2, check=False)
     climb = Climb([run], [], Refused())
     climb.take(Measured.of(result, [run], []))
-    switches = [name for name in arm().variants() if " = " in name and "delay" not in name]
+    switches = list(begun.variants())
     rows = [Suspect(name, "switch", "", 0.0, 1.0, 0.1, 9.0, 1, 1e-3, True) for name in switches]
     assert climb.step(len(rows), lambda *_: rows)
     freed = {change.name: change.changed["free"] for change in climb.fits.changes}
@@ -181,6 +183,7 @@ def test_a_memory_is_switched_on_with_its_yield_angle_free():
             "joints.memory.strength",
             "joints.memory.yield_angle",
         ],
+        "joints.drive_lag = camera.delay, camera.delay = 0": ["joints.drive_lag"],
         TIP_AND_HARDENING[0]: ["point_masses.mass"],
         TIP_AND_HARDENING[1]: ["joints.laws.hardening.cubic"],
     }

@@ -1,6 +1,8 @@
 """Explanations: what is missing is found, kept, resumed and said, and no more than that."""
 
 import dataclasses
+import json
+import threading
 from typing import ClassVar
 
 import numpy as np
@@ -15,7 +17,23 @@ from giajax.mechanics.arm import takeichi_20m
 from giajax.models import ArmModel, capabilities
 from giajax.recordings import hold_out, read_run
 from giajax.schema.parameters import declared, left_out
-from giajax.studies import Explanation, explain, ladder, suspects
+from giajax.studies import Explanation, explain, ladder, refit, suspects
+from giajax.studies._explain import JOURNAL
+
+
+@giajax.register
+class Kept(Curve):
+    """The curve as files have it."""
+
+    kind: ClassVar[str] = "kept_curve"
+    from_definition = classmethod(lambda cls, _: cls(weights=np.ones(2)))
+
+
+def kept(runs):
+    """A fit that a file holds, too."""
+    model = Kept(**{field.name: getattr(curve(), field.name) for field in dataclasses.fields(Kept)})
+    begin = {"amplitude": 1.9, "decay": 0.75}
+    return fit(model, runs, free=list(begin), start=begin, check=False, noise_model="white")
 
 
 @pytest.mark.slow
@@ -90,6 +108,44 @@ def test_what_ends_it_early_gives_all_that_was_reached():
         explain(first, recording, tries=0)
 
 
+@pytest.mark.parametrize("ended", ["interrupted", "budget"])
+@pytest.mark.parametrize("which", [0, 1])
+def test_of_two_fits_at_once_what_ended_before_is_kept(tmp_path, monkeypatch, which, ended):
+    recording = recorded(late=0.002, shift=[0.0, 0.0, 0.02], seed=2)
+    first, whole, cut = kept([recording]), tmp_path / "whole", tmp_path / "cut"
+
+    def names(folder):
+        return [
+            json.loads(line)["name"] for line in (folder / JOURNAL).read_text().splitlines()[1:]
+        ]
+
+    steps = explain(first, recording, folder=whole).record.steps
+    asked = names(whole).index("suspects") + 1
+    pair = names(whole)[asked : asked + 2]
+    done = threading.Event()
+
+    def stopped(result, runs, **changed):
+        if changed.get("free") == [pair[which]]:
+            assert which == 0 or done.wait(60)
+            if ended == "interrupted":
+                raise KeyboardInterrupt
+            return dataclasses.replace(result, reason="budget")
+        found = refit(result, runs, **changed)
+        if changed.get("free") == [pair[0]]:
+            done.set()
+        return found
+
+    with monkeypatch.context() as patched:
+        patched.setattr("giajax.studies._stepwise.refit", stopped)
+        assert explain(first, recording, folder=cut).record.ended == ended
+    assert names(cut)[asked:] == pair[:which]
+    again = explain(first, recording, folder=cut).record.steps
+    assert [(one.change, one.chi_square) for one in again] == [
+        (one.change, one.chi_square) for one in steps
+    ]
+    assert names(cut) == names(whole)
+
+
 def test_the_memory_of_a_joint_is_rather_to_be_believed_than_friction():
     model = ArmModel(takeichi_20m(2))
     assert set(capabilities.rather(model)) == {"joints.friction"}
@@ -126,13 +182,6 @@ def test_without_a_last_fifth_nothing_is_held_out_and_it_says_so():
 
 
 def test_turned_runs_are_files_of_their_own_and_no_users(tmp_path):
-    @giajax.register
-    class Kept(Curve):
-        """The curve as files have it."""
-
-        kind: ClassVar[str] = "kept_curve"
-        from_definition = classmethod(lambda cls, _: cls(weights=np.ones(2)))
-
     runs = []
     for name in ("one", "two"):
         recording = recorded(seed=len(runs))
@@ -143,10 +192,7 @@ def test_turned_runs_are_files_of_their_own_and_no_users(tmp_path):
         write_run(path, recording.times, swapped, definition=recording.definition)
         runs.append(read_run(path))
     (tmp_path / "run.csv").write_text("a file of the user")
-    model = Kept(**{field.name: getattr(curve(), field.name) for field in dataclasses.fields(Kept)})
-    begin = {"amplitude": 1.9, "decay": 0.75}
-    options = {"free": list(begin), "start": begin, "check": False, "noise_model": "white"}
-    found = explain(fit(model, runs, **options), runs, folder=tmp_path, max_steps=1)
+    found = explain(kept(runs), runs, folder=tmp_path, max_steps=1)
     assert found.record.axes
     assert (tmp_path / "run.csv").read_text() == "a file of the user"
     files = [read_run(run.path) for run in found.result.runs]
@@ -154,8 +200,8 @@ def test_turned_runs_are_files_of_their_own_and_no_users(tmp_path):
     assert files[0].sha256 != files[1].sha256
     # The journal is of this, and gives the same without a fit.
     told = []
-    again = explain(fit(model, runs, **options), runs, folder=tmp_path, say=told.append)
+    again = explain(kept(runs), runs, folder=tmp_path, say=told.append)
     assert again.record == found.record
     assert not [sentence for sentence in told if sentence.startswith("fitting axes")]
-    other = explain(fit(model, runs[:1], **options), runs[:1], folder=tmp_path, max_steps=0)
+    other = explain(kept(runs[:1]), runs[:1], folder=tmp_path, max_steps=0)
     assert [step.change for step in other.record.steps] == ["-"]

@@ -158,7 +158,7 @@ def test_what_is_tried_does_not_depend_on_the_cores(monkeypatch):
     ends = []
     for number in (1, 2):
         monkeypatch.setattr("giajax.studies._stepwise.cores", lambda number=number: number)
-        one, _, _ = best_step(result, [recording], [], [impossible, late, found.of("rub")], 2)
+        one, _, _ = best_step(result, [recording], [], [late, found.of("rub"), impossible], 3)
         ends.append((one.suspect.path, one.result.cost))
     assert ends[0] == ends[1]
     assert ends[0][0] == "late"

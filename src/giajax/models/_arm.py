@@ -456,6 +456,10 @@ class ArmModel(AbstractModel):
         names = [name for name in self.variants() if name.startswith(memory)]
         return {JOINTS.friction.path: names[0]} if names else {}
 
+    def freed_with(self) -> dict[str, tuple[str, ...]]:
+        """The loop of a memory is as wide as its yield angle, which nobody knows either."""
+        return {JOINT_MEMORY.strength.path: (JOINT_MEMORY.yield_angle.path,)}
+
     def uncertain(self, runs: Sequence[Run]) -> dict[str, Prior]:
         """Clock and scale of a camera that nobody calibrated, and the diameter of the links."""
         own = [run for run in runs if run.model == self.kind]

@@ -153,6 +153,14 @@ def rather(model: AbstractModel) -> dict[str, str]:
     return _asked(model, "rather", {})
 
 
+def freed_with(model: AbstractModel) -> dict[str, tuple[str, ...]]:
+    """By the path of what switches a part on, what of that part is a guess that is freed with it.
+
+    By a selection that tries it. Nothing without the method.
+    """
+    return _asked(model, "freed_with", {})
+
+
 def free_inputs(model: AbstractModel, run: Run) -> tuple[str, ...]:
     """Declared parameters of the prepared inputs that are free in this run, by path.
 

@@ -52,6 +52,7 @@ from ._stepwise import (
     Tried,
     best_of,
     is_one,
+    side_by_side,
 )
 from ._suspects import Suspects, outlying
 from ._systematic import with_suspects
@@ -157,18 +158,17 @@ class Kept(AbstractFits):
         before = [self._next(change.name) for change in changes]
         found = [self._recorded(line) for line in before if line is not None]
         missing = changes[len(found) :]
+        if not missing:
+            return found
         for change in missing:
             self.say(f"fitting {change.name} ...")
         # What is not there by then goes on in the fits that follow.
-        limits: dict[str, Any] = {"max_iterations": _ITERATIONS, "budget": self.budget}
-        made = Fits().refits(result, missing, **limits) if missing else []
-        for change, fitted in zip(missing, made, strict=True):
+        ended, stopped = side_by_side(result, missing, self.budget, max_iterations=_ITERATIONS)
+        for change, fitted in zip(missing, ended, strict=False):
             if isinstance(fitted, InputError):
                 self._keep({"name": change.name, "refused": str(fitted)})
                 found.append(fitted)
                 continue
-            if fitted.reason in ("interrupted", "budget"):
-                raise KeyboardInterrupt if fitted.reason == "interrupted" else _Stopped
             if self.folder is not None:
                 file = f"{len(list((self.folder / FITS).glob('*.json'))):03d}.json"
                 data = fitted.to_json().encode()
@@ -177,6 +177,10 @@ class Kept(AbstractFits):
                 # As it is when the journal is read: what follows is the same to the last digit.
                 fitted = load_result(self.folder / FITS / file)
             found.append(fitted)
+        if stopped:
+            raise KeyboardInterrupt
+        if len(ended) < len(missing):
+            raise _Stopped
         return found
 
     def _recorded(self, line: dict[str, Any]) -> FitResult | InputError:

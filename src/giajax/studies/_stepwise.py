@@ -5,12 +5,13 @@ import contextlib
 import dataclasses
 import functools
 import itertools
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
 
-from ..fitting import FitResult, Response, Suspect, in_full, matching_runs
+from ..fitting import Budget, FitResult, Response, Suspect, in_full, matching_runs
 from ..models import AbstractModel, capabilities
 from ..recordings import FitSettings, PriorEntry, Run
 from ..runtime.aliases import warn_of_name
@@ -198,7 +199,11 @@ class AbstractFits(abc.ABC):
     def refits(
         self, result: FitResult, changes: Sequence[Change]
     ) -> Sequence[FitResult | InputError]:
-        """Fits again, side by side, or why one cannot be; white noise is the same for all."""
+        """Fits again, side by side, or why one cannot be; white noise is the same for all.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C came before all of them had ended.
+        """
 
     def refit(self, name: str, result: FitResult, runs: Sequence[Run], **changed: Any) -> FitResult:
         """The one fit of a change.
@@ -225,28 +230,50 @@ class Fits(AbstractFits):
         return suspects(result, runs)
 
     def refits(
-        self, result: FitResult, changes: Sequence[Change], **limits: Any
+        self, result: FitResult, changes: Sequence[Change]
     ) -> Sequence[FitResult | InputError]:
-        """As of `refit`, on as many cores as there are."""
-        forget_programs_if_many()
-
-        def fitted(change: Change, tell: Tell) -> FitResult | InputError:
-            stops = functools.partial(tell, stop_if_asked)
-            asked = {"noise_model": "white", "progress": stops, **limits, **change.changed}
-            try:
-                return refit(result, change.runs, **asked)
-            except InputError as error:
-                return error
-
-        jobs = [functools.partial(fitted, change) for change in changes]
-        found = run_in_threads(jobs, min(cores(), len(jobs)), until=_is_interrupted)
-        if None in found:  # It did not begin.
+        """As of `refit`."""
+        ended, stopped = side_by_side(result, changes)
+        if stopped:
             raise KeyboardInterrupt
-        return [each for each in found if each is not None]
+        return ended
 
 
-def _is_interrupted(found: FitResult | InputError) -> bool:
-    return isinstance(found, FitResult) and found.reason == "interrupted"
+def side_by_side(
+    result: FitResult, changes: Sequence[Change], budget: Budget | None = None, **limits: Any
+) -> tuple[list[FitResult | InputError], bool]:
+    """Fits again on as many cores as there are, with white noise, and whether Ctrl-C came.
+
+    They are those that came to their end, or why one cannot be, before the first that did not: for
+    that the budget was used up, or it was stopped.
+    """
+    forget_programs_if_many()
+    stop = threading.Event()
+
+    def fitted(change: Change, tell: Tell) -> FitResult | InputError | None:
+        asked = {"progress": functools.partial(tell, stop_if_asked), "budget": budget, **limits}
+        found = None
+        try:
+            # The other one may have taken all of the time, if there is one core.
+            if budget is None or budget.left() > 0:
+                found = refit(
+                    result, change.runs, **{"noise_model": "white", **asked, **change.changed}
+                )
+            tell(stop_if_asked)  # Ctrl-C may have come meanwhile.
+        except InputError as error:
+            return error
+        except KeyboardInterrupt:
+            stop.set()
+        if found is not None and found.reason in ("interrupted", "budget"):
+            if found.reason == "interrupted":
+                stop.set()
+            return None
+        return found
+
+    jobs = [functools.partial(fitted, change) for change in changes]
+    found = run_in_threads(jobs, min(cores(), len(jobs)), until=lambda _: stop.is_set())
+    ended = itertools.takewhile(lambda each: each is not None, found)
+    return [each for each in ended if each is not None], stop.is_set()
 
 
 Tried = tuple[Measured, list[Run], list[Run]]
@@ -363,19 +390,14 @@ def _freeing(
 def _switched_on(result: FitResult, other: AbstractModel, suspect: Suspect) -> list[str]:
     """What a switch frees: the number that switches a part on, and what is a guess of that part.
 
-    As the strength of a memory does, whose yield angle nobody knows either: held, it would let
-    others make up for it.
+    A guess that was held would let others make up for it. What the fit says of one is kept.
     """
-    by, parts = suspect.path.partition(" = ")[0], declared(other)
-    if by not in parts:
+    by = suspect.path.partition(" = ")[0]
+    if by not in declared(other):
         return []
-    part = by.rpartition(".")[0]
-    guessed = [
-        path
-        for path, one in parts.items()
-        if path.rpartition(".")[0] == part and path != by and one.declaration.assumed
-    ]
-    return [by, *(path for path in guessed if path not in result.free)]
+    said = {*result.free, *result.config.get("ties", {}), *result.config.get("fix", {})}
+    guesses = capabilities.freed_with(other).get(by, ())
+    return [by, *(path for path in guesses if path not in said)]
 
 
 def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
@@ -411,8 +433,8 @@ def ladder(
 ) -> StepwiseSelection:
     """Fit the most promising suspect, ask again, and so on.
 
-    A parameter is freed, a choice of the model is made the other way, and recorded axes are
-    exchanged; each fit begins where the last one ended, or began, if its suspects are of there.
+    A parameter is freed, a choice of the model is made the other way (what of a part is a guess is
+    freed with what switches it on), and recorded axes are exchanged; each fit begins where the last one ended, or began, if its suspects are of there.
     What was freed before and has come back to the value that it was held at is held again, and of a
     drive that was freed alone it is asked whether all are as that one. It ends
     where no suspect is significant, or where what is tried makes BIC larger. A suspect that is one
