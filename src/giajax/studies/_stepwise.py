@@ -434,7 +434,8 @@ def ladder(
     """Fit the most promising suspect, ask again, and so on.
 
     A parameter is freed, a choice of the model is made the other way (what of a part is a guess is
-    freed with what switches it on), and recorded axes are exchanged; each fit begins where the last one ended, or began, if its suspects are of there.
+    freed with what switches it on), and recorded axes are exchanged; each fit begins where the last
+    one ended, or began, if its suspects are of there.
     What was freed before and has come back to the value that it was held at is held again, and of a
     drive that was freed alone it is asked whether all are as that one. It ends
     where no suspect is significant, or where what is tried makes BIC larger. A suspect that is one
