@@ -312,7 +312,9 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     if known_here:
         jacobian = state.jacobian
     else:
-        finer = _FINER if tolerance is None else min(_FINER, _FINE / tolerance)
+        finer = _FINER
+        if tolerance is not None:
+            finer = max(min(_FINER, _FINE / tolerance), _FINEST / tolerance)
         refined = capabilities.refined(problem.model, finer)
         problem = dataclasses.replace(problem, model=problem.model if refined is None else refined)
         jacobian = state.jacobian_at(evaluate(state, centre, problem, sample=True))

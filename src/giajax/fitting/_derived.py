@@ -340,9 +340,18 @@ def responses(
         lengths = np.asarray([len(runs[i].observations[channels[0]]) for i in members])
         samples = int(np.max(lengths))
         shared = (model, paths, steps, channels, sizes, varied, tuple(ties), samples)
-        batch = Batch(_respond, (inputs, rows), shared, lengths, chunk_size(len(members)))
+        amounts = _amounts(paths, sizes)
+        tangents = _tangents(amounts, alone=len(members) == 1)
+        # Each run with each part of the tangents.
+        parts = len(tangents)
+        items = jax.tree.map(lambda leaf, n=parts: np.repeat(leaf, n, axis=0), (inputs, rows))
+        items = (*items, np.tile(tangents, (len(members), 1, 1)))
+        work = np.repeat(lengths, parts)
+        batch = Batch(_respond, items, shared, work, chunk_size(len(work)))
         (answer,) = run_on_all_cores([batch])
         tables, blocks, successful = answer
+        tables = tables[::parts]
+        blocks = blocks.reshape(len(members), -1, *blocks.shape[2:])[:, :amounts]
         if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)
             # Derivatives may take other steps than the motion, which is right by itself then.
@@ -372,8 +381,21 @@ def _amounts(paths: tuple[str, ...], own: tuple[tuple[str, int], ...]) -> int:
     return len(paths) + sum(size for _, size in own) if paths else 0
 
 
+# From so many amounts on, a single run has its derivatives in two parts, one for each of two cores.
+# That does not depend on the machine, so that programs and numbers are the same everywhere.
+_DEALT_OUT = 16
+
+
+def _tangents(count: int, *, alone: bool) -> np.ndarray:
+    """The amounts in parts that are differentiated by together, shape (part, tangent, amount)."""
+    parts = 2 if alone and count >= _DEALT_OUT else 1
+    each = -(-count // parts)
+    whole = np.eye(parts * each, count, dtype=jnp.result_type(float))
+    return whole.reshape(parts, each, count)
+
+
 def _responses_like(
-    prepared_runs: tuple[Any, Array],
+    prepared_runs: tuple[Any, Array, Array],
     model: AbstractModel,
     paths: tuple[str, ...],
     steps: tuple[Array, ...],
@@ -383,19 +405,19 @@ def _responses_like(
     ties: tuple[Tie, ...],
     samples: int,
 ) -> tuple[Any, ...]:
-    del model, steps, varied, ties
-    rows = prepared_runs[1]
+    del model, paths, steps, own, varied, ties
+    _, rows, tangents = prepared_runs
     count, table = len(rows), (samples, len(channels))
     return (
         jax.ShapeDtypeStruct((count, *table), rows.dtype),
-        jax.ShapeDtypeStruct((count, _amounts(paths, own), *table), rows.dtype),
+        jax.ShapeDtypeStruct((*tangents.shape[:2], *table), rows.dtype),
         jax.ShapeDtypeStruct((count,), bool),
     )
 
 
 @functools.partial(program, like=_responses_like)
 def _respond(
-    prepared_runs: tuple[Any, Array],
+    prepared_runs: tuple[Any, Array, Array],
     model: AbstractModel,
     paths: tuple[str, ...],
     steps: tuple[Array, ...],
@@ -405,17 +427,17 @@ def _respond(
     ties: tuple[Tie, ...],
     samples: int,
 ) -> tuple[Array, Array, Array]:
-    """Tables (run, sample, channel), their derivatives (run, amount, sample, channel), success.
+    """Tables (run, sample, channel), their derivatives (run, tangent, sample, channel), success.
 
     There are `samples` of the longest run, which decides the shapes.
     """
     del samples
-    inputs, rows = prepared_runs
+    inputs, *others = prepared_runs
     count = _amounts(paths, own)
     differentiated = (*dict.fromkeys(paths), *(path for path, _ in own))
     ready = capabilities.for_derivatives(model, differentiated) if count else model
 
-    def one(prepared: Any, row: Array) -> tuple[Array, Array, Array]:
+    def one(prepared: Any, row: Array, tangents: Array) -> tuple[Array, Array, Array]:
         there = replace(ready, {path: row[index] for index, path in enumerate(varied)})
         held = {path: get(there, path) for path in paths}
 
@@ -439,12 +461,11 @@ def _respond(
             table, successful = predicted(jnp.zeros(0))
             return table, jnp.zeros((0, *table.shape), table.dtype), successful
         still = jnp.zeros(count, jnp.result_type(float))
-        basis = jnp.eye(count, dtype=still.dtype)
-        table, block, successful = jax.vmap(push, out_axes=(None, 0, None))(basis)
+        table, block, successful = jax.vmap(push, out_axes=(None, 0, None))(tangents)
         return table, block, successful
 
     if jax.tree.leaves(inputs)[0].shape[0] == 1:
-        result = one(*jax.tree.map(lambda leaf: leaf[0], (inputs, rows)))
+        result = one(*jax.tree.map(lambda leaf: leaf[0], (inputs, *others)))
         return jax.tree.map(lambda leaf: leaf[None], result)
     # One run after the other: each keeps its own steps; the program is compiled once.
-    return jax.lax.map(lambda each: one(*each), (inputs, rows))
+    return jax.lax.map(lambda each: one(*each), (inputs, *others))

@@ -214,9 +214,10 @@ class FitState:
 # above its start by less than 4.5.
 _LARGEST_STEP = 1.5
 
-# Above this, s, residuals without derivatives are worth a program of their own, which takes
-# seconds to compile: at the end of a fit they are asked for several times, and more finely.
-_LONG_STEP = 0.5
+# Where an evaluation with derivatives takes longer than this, s, residuals without them are worth a
+# program of their own, which takes seconds to compile: at the end of a fit they are asked for
+# several times. Steps of the integrator, of order 5, are the more by the fifth root of a tolerance.
+_LONG_STEP, _ORDER = 1.0, 5
 
 _MANY_ROWS = 5_000  # with so many rows a step is known to be long before any was timed
 
@@ -387,12 +388,23 @@ def residuals_at(
 
     A `sample` is as of `evaluate`; NaN where the model cannot be evaluated.
     """
-    if min(state.step_seconds[1:], default=0.0) < _LONG_STEP and not has_many_rows(state):
+    problem = state.problem if problem is None else problem
+    if _seconds(state, problem) < _LONG_STEP and not has_many_rows(state):
         inner = evaluate(state, coordinate, problem, sample=sample)
         row = np.asarray(inner.residual)
         return row if np.isfinite(inner.cost) else np.full(row.shape, np.nan)
     coordinate = on_device(coordinate, state.coordinate.dtype)
-    return residuals(coordinate, state.problem if problem is None else problem, sample=sample)
+    return residuals(coordinate, problem, sample=sample)
+
+
+def _seconds(state: FitState, problem: Problem) -> float:
+    """How long an evaluation with derivatives takes, by the last ones, at another tolerance."""
+    # The first one compiles, and one may have been held up.
+    took = min(state.step_seconds[1:][-2:], default=0.0)
+    finer = capabilities.integration(problem.model)
+    if state.tolerance is None or finer is None or finer.tolerance is None:
+        return took
+    return took * (state.tolerance / finer.tolerance) ** (1 / _ORDER)
 
 
 def has_many_rows(state: FitState) -> bool:

@@ -14,7 +14,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from .arrays import Float
 from .process import carried, cores, one_blas_thread
-from .programs import program
+from .programs import compiled_ahead, program
 from .text import InputError
 
 Result = TypeVar("Result")
@@ -193,7 +193,8 @@ def run_on_all_cores(batches: Sequence[Batch], most: int | None = None) -> list[
     tasks = [share for each in shared_out for share in each]
     # Two threads that need the same program for the first time would both compile it.
     new = {share.key: share for share in tasks if share.key not in _compiled}
-    results = _run(list(new.values()), most)
+    at_hand = _run(list(new.values()), most, _Share.compiled_ahead)
+    results = _run([share for share in new.values() if not at_hand[id(share)]], most)
     _compiled.update(new)
     results |= _run([share for share in tasks if id(share) not in results], most)
     return [_whole(each, [results[id(share)] for share in each]) for each in shared_out]
@@ -274,6 +275,9 @@ class _Share:
     def compute(self) -> Any:
         return jax.tree.map(np.asarray, self.batch.call(self.items, *self.batch.shared))
 
+    def compiled_ahead(self) -> bool:
+        return compiled_ahead(self.batch.call, self.items, *self.batch.shared)
+
 
 def _shares_of(batch: Batch) -> list[_Share]:
     # A view, where the device is the CPU: to take a share is then NumPy's work, not JAX's.
@@ -298,12 +302,14 @@ def _whole(shares: Sequence[_Share], parts: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[place], *parts)
 
 
-def _run(shares: Sequence[_Share], most: int) -> dict[int, Any]:
+def _run(
+    shares: Sequence[_Share], most: int, of: Callable[[_Share], Any] = _Share.compute
+) -> dict[int, Any]:
     """Results by the identity of the share; the largest ones are begun first."""
     ordered = sorted(shares, key=lambda share: -share.size)
     if most == 1 or len(ordered) < 2:
-        return {id(share): share.compute() for share in ordered}
+        return {id(share): of(share) for share in ordered}
     # Beginning threads takes a tenth of a millisecond; none is left when nothing is to be done.
     with one_blas_thread(), ThreadPoolExecutor(min(most, len(ordered)), "giajax") as pool:
-        results = list(pool.map(carried(_Share.compute, most), ordered))
+        results = list(pool.map(carried(of, most), ordered))
     return {id(share): result for share, result in zip(ordered, results, strict=True)}

@@ -463,7 +463,23 @@ def program(function: Function, *, like: Callable[..., Any] | None = None) -> Fu
             whole = compiled(function)
         return whole(*args, **kwargs)
 
+    def ahead(*args: Any) -> bool:
+        """Have the program for arguments like these at hand; whether that can be."""
+        nonlocal kept
+        if like is None or not caches_programs():
+            return False
+        if kept is None:
+            kept = CachedProgram(function, like, _options())
+        return kept.ready(args) is not None
+
+    call.ahead = ahead  # type: ignore[attr-defined]
     return call  # type: ignore[return-value]
+
+
+def compiled_ahead(call: Callable[..., Any], *args: Any) -> bool:
+    """Have a program for arguments like these at hand, without a run; whether that can be."""
+    ahead: Callable[..., bool] | None = getattr(call, "ahead", None)
+    return ahead is not None and ahead(*args)
 
 
 def _is_traced(arguments: Any) -> bool:

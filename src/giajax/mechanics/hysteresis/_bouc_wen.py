@@ -15,6 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import spence
 
 from ...runtime.arrays import Array, Bool, Float, Scalar, limited
 from ...runtime.text import InputError
@@ -80,9 +81,13 @@ def _bouc_wen_after_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
     def exponential() -> tuple[Array, ...]:
         def one(z: Array, way: Array) -> tuple[Array, tuple[Array, ...]]:
-            sign, kept = _sign(way), jnp.exp(-_sign(way) * way)
-            after = sign - (sign - z) * kept
-            return after, (1 - sign * after, kept)
+            sign = _sign(way)
+            way, before = sign * way, sign * z
+            kept = jnp.exp(-way)
+            after = 1 - (1 - before) * kept
+            of_shape = {2: _dahl_by_nu, 3: _dahl_by_delta}
+            by_shape = (sign * of_shape[index](way, before, after, kept) for index in shaped)
+            return sign * after, (1 - after, kept, *by_shape)
 
         return jax.lax.scan(one, z, ways)[1]
 
@@ -103,11 +108,8 @@ def _bouc_wen_after_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
         return jax.lax.scan(one, z, ways)[1]
 
-    if shaped:
-        # By its shape the closed form has no derivatives.
-        by_way, by_z, *by_shape = integrated()
-    else:
-        (by_way, by_z), by_shape = jax.lax.cond(_is_dahl(nu, delta), exponential, integrated), []
+    slopes = jax.lax.cond(_is_dahl(nu, delta), exponential, integrated)
+    (by_way, by_z), by_shape = slopes[:2], slopes[2:]
     of_ways, moved = (
         jnp.zeros_like(at) if tangent is None else tangent
         for at, tangent in zip((ways, z), tangents[:2], strict=True)
@@ -117,6 +119,36 @@ def _bouc_wen_after_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
         for index, slopes in zip(shaped, by_shape, strict=True):
             moved = moved + slopes[leg] * tangents[index]
     return bouc_wen_after(*primals), moved
+
+
+# What z of Dahl's model is by its shape, after a way x in the direction in which z rises from y0 to
+# y = 1 - (1 - y0) e^-x. A derivative d of it falls off as z does, and is made on the way: by delta
+# d' = -d + min(2 y, 0), by nu d' = -d - y ln|y|, whose integrals over e^t are elementary and, with
+# the dilogarithm Li2, closed.
+
+
+def _dahl_by_delta(way: Array, before: Array, after: Array, kept: Array) -> Array:
+    del after
+    # Up to where z is 0.
+    falling = limited(jnp.log1p(-jnp.where(before < 0, before, 0)), 0, way)
+    return 2 * kept * (jnp.expm1(falling) - (1 - before) * falling)
+
+
+def _dahl_by_nu(way: Array, before: Array, after: Array, kept: Array) -> Array:
+    dilogarithms = _dilogarithm(after) - _dilogarithm(before)
+    return (1 - after) * (way + dilogarithms) - _y_log_y(after) + kept * _y_log_y(before)
+
+
+def _y_log_y(y: Array) -> Array:
+    return y * jnp.log(jnp.where(y == 0, 1, jnp.abs(y)))
+
+
+def _dilogarithm(y: Array) -> Array:
+    """The real part of Li2(1 - y), for y up to 1."""
+    negative = y < 0
+    # Beyond its branch point by that of 1 / (1 - y).
+    inner = spence(jnp.where(negative, -y / (1 - y), y))
+    return jnp.where(negative, jnp.pi**2 / 3 - jnp.log(1 - y) ** 2 / 2 - inner, inner)
 
 
 def _sign(way: Array) -> Array:
