@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 from giajax import InputError
 from giajax.mechanics.hysteresis import BoucWen, BoucWenOscillator, bouc_wen_after, bouc_wen_rate
@@ -186,7 +186,7 @@ def test_z_after_a_way_is_that_of_its_equation(nu, delta):
     dahl = nu == 1 and delta == 0
     assert_allclose(bouc_wen_after(*given), expected, rtol=0, atol=1e-9 if dahl else 5e-5)
 
-    # By nu and delta, too, where the value itself is of a closed form that has neither.
+    # By nu and delta, too, where the value itself is of a closed form that has neither of them.
     for index, step in enumerate([1e-6, 1e-6, 1e-5, 1e-6]):
 
         def by(x, index=index):
@@ -196,6 +196,36 @@ def test_z_after_a_way_is_that_of_its_equation(nu, delta):
         far, near = by(given[index] + 2 * step * one), by(given[index] + step * one)
         slope = (far - near) / step
         assert_allclose(jax.jvp(by, (given[index],), (one,))[1], slope, rtol=0, atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("by", "source"),
+    [("nu", lambda y: -y * np.log(abs(y)) if y else 0.0), ("delta", lambda y: min(2 * y, 0.0))],
+    ids=["nu", "delta"],
+)
+@pytest.mark.parametrize("way", [-3.0, -0.8, -1e-3, 1e-3, 0.8, 3.0, 40.0])
+def test_derivatives_of_dahls_model_by_its_shape_are_integrals_along_the_way(by, source, way):
+    """d' = -d + source(y) in the direction of the motion, with y = 1 - (1 - y0) e^-x; by scipy."""
+    starts, size, sign = np.array([-0.99, -0.4, 0.0, 0.3, 0.999]), abs(way), np.sign(way)
+    expected = []
+    for begin in sign * starts:
+        zero = np.log1p(-min(begin, 0.0))  # where y is 0
+        parts = [0.0, *([zero] if 0 < zero < size else []), size]
+
+        def grown(x, begin=begin):
+            return np.exp(x - size) * source(1 - (1 - begin) * np.exp(-x))
+
+        pieces = (quad(grown, a, b, epsabs=1e-13, limit=200) for a, b in itertools.pairwise(parts))
+        expected.append(sign * sum(piece[0] for piece in pieces))
+    at = {"nu": jnp.ones(()), "delta": jnp.zeros(())}
+
+    def after(value):
+        shape = {**at, by: value}
+        way_of_all = jnp.full((1, 5), way)
+        return bouc_wen_after(way_of_all, jnp.asarray(starts), shape["nu"], shape["delta"])
+
+    slope = jax.jvp(after, (at[by],), (jnp.ones(()),))[1]
+    assert_allclose(slope, expected, rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("nu", [1.0, 1.4])
