@@ -24,6 +24,17 @@ from benchmarks.measuring import RESULTS, checkouts_of, columns, store
 RUN = "data/synthetic/base_step.csv"
 AIR = "--wind 0,0.4,0.1 --gusts 0.2:2 --coherence 12"
 MOST = 8.0  # s, of a command that is no study
+ALL_AT_ONCE = (
+    "air.drag_coefficient",
+    "joints.pitch_stiffness",
+    "joints.yaw_stiffness",
+    "joints.damping",
+    "joints.memory.strength",
+    "joints.memory.yield_angle",
+    "air.wind",
+    "camera.rotation",
+    "camera.delay",
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +58,20 @@ COMMANDS = {
     "check": Command(f"check {RUN}"),
     "simulate": Command("simulate --ramp 1=30 --out {out}/run.csv --force"),
     "fit": Command("fit fits/base_step.toml --out {out} --force"),
+    "fit of joints that remember": Command(
+        "fit fits/independent_friction.toml --no-figures --out {out} --force", 20.0
+    ),
+    "fit of all at once": Command(
+        f"fit --data {{made}}/run.csv {' '.join(f'--free {path}' for path in ALL_AT_ONCE)} "
+        "--start joints.memory.strength=0.02 --start joints.memory.yield_angle=0.02 "
+        "--loss huber --no-figures --out {out} --force",
+        60.0,
+        "simulate --links 12 --ramp 1=30 --ramp 4=20 --ramp 7=-25 --rate 10 "
+        "--channels link04 --channels link08 --channels link12 --channels tip "
+        "--set joints.memory.strength=0.05 --set joints.memory.yield_angle=0.005 "
+        "--wind 0,0.05,0.02 --set camera.rotation=0,0.03,0 --set camera.delay=0.08 "
+        "--noise position_m=0.01 --out {made}/run.csv",
+    ),
     "suspects": Command("suspects {fit} --out {out}/suspects.json --force"),
     "influence": Command("influence {fit} --out {out}/influence.json --force"),
     "predict": Command(f"predict --model {{fit}} --data {RUN} --out {{out}}/table.csv --force"),

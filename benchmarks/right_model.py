@@ -16,6 +16,7 @@ from rich.table import Table
 from benchmarks.measuring import columns, in_turns, report
 from giajax import joint_ramps, replace, simulate, takeichi_20m, takeichi_20m_full
 from giajax.mechanics.arm import Arm
+from giajax.runtime.programs import program
 
 ACCURACY = 1e-4  # m, of the tip
 TOLERANCES = (3e-4, 2e-4, 1e-4, 7e-5, 5e-5, 3e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)
@@ -57,25 +58,25 @@ def measure(quick: bool) -> dict[str, Any]:
     command = joint_ramps(links, {1: np.deg2rad(30), 2: np.deg2rad(20)}, start=0.5, duration=1.0)
     times = jnp.linspace(0.0, seconds, round(10 * seconds) + 1)
 
-    @jax.jit
-    def run(arm: Arm, values: Any, tolerance: Any) -> tuple[Any, Any]:
+    def moved(arm: Arm, values: Any, tolerance: Any) -> tuple[Any, Any]:
         own = replace(arm, dict(zip(PATHS, values, strict=True)))
         motion = simulate(own, command, times, rtol=tolerance, atol=tolerance)
         return motion.tip, motion.steps
 
-    with_slopes = jax.jit(jax.jacfwd(run, argnums=1, has_aux=True))
+    # As a fit compiles them.
+    run, with_slopes = program(moved), program(jax.jacfwd(moved, argnums=1, has_aux=True))
     found: dict[str, Any] = {}
     contenders: dict[str, Any] = {}
     for name, arm in arms(links).items():
         values = jnp.asarray([1.2, 3.0, 30.0, jnp.max(jnp.asarray(arm.joints.damping))])
-        exact = np.asarray(run(arm, values, 1e-9)[0])
+        exact = np.asarray(run(arm, values, jnp.asarray(1e-9))[0])
         for tolerance in TOLERANCES:
-            tip, steps = run(arm, values, tolerance)
+            tip, steps = run(arm, values, jnp.asarray(tolerance))
             error = float(np.max(np.linalg.norm(np.asarray(tip) - exact, axis=1)))
             if error <= ACCURACY:
                 break
         found[name] = {"tolerance": tolerance, "error": error, "steps": np.asarray(steps).tolist()}
-        given = (arm, values, tolerance)
+        given = (arm, values, jnp.asarray(tolerance))
         for of, call in (("run", run), ("slopes", with_slopes)):
             contenders[f"{name}: {of}"] = lambda call=call, given=given: jax.block_until_ready(
                 call(*given)

@@ -282,10 +282,19 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
 
             far = jnp.asarray(jnp.inf, y0.dtype)
             least = jnp.full_like(far, jnp.finfo(y0.dtype).tiny)
+            begin = jax.lax.stop_gradient(rates)
+            torque, damper = slope_at(begin, stopped)
+            factor = factorised(damper)
+            then = solve(stopped[0], stopped[1] + torque, damper, factor)[1]
+            # What resists there beyond the line that the first step follows, and what that moves:
+            # in most stages it is the whole proof that no other step is needed.
+            beyond = resist(then, stopped) + damper * then - torque
+            left = jnp.max(jnp.abs(scale * solution_by_factor(factor, scale * beyond)))
+            moved = jnp.max(jnp.abs(scale * (then - begin)))
             *_, left, rates = jax.lax.while_loop(
                 lambda carried: (carried[0] < _MOST) & (carried[2] > solved),
                 better,
-                (jnp.asarray(0), least, far, jax.lax.stop_gradient(rates)),
+                (jnp.asarray(1), moved, left, then),
             )
             # Its derivatives are those of one more step, and have to be taken where the equation of
             # motion has its own: beyond a turn they are others.
