@@ -280,19 +280,11 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 # derivatives of a run are wrong by a hundred times as much then.)
                 return count + 1, moved, moved * jnp.minimum(moved / before, 1), then
 
-            begin = jax.lax.stop_gradient(rates)
-            torque, damper = slope_at(begin, stopped)
-            factor = factorised(damper)
-            then = solve(stopped[0], stopped[1] + torque, damper, factor)[1]
-            # What a next step would move, by the matrix that is there: in most stages it is no more
-            # than a stage may be off, and takes a third of the time of another step.
-            beyond = resist(then, stopped) + damper * then - torque
-            left = jnp.max(jnp.abs(scale * solution_by_factor(factor, scale * beyond)))
-            moved = jnp.max(jnp.abs(scale * (then - begin)))
+            far = jnp.asarray(jnp.inf, y0.dtype)
+            least = jnp.full_like(far, jnp.finfo(y0.dtype).tiny)
+            begun = better((jnp.asarray(0), least, far, jax.lax.stop_gradient(rates)))
             *_, left, rates = jax.lax.while_loop(
-                lambda carried: (carried[0] < _MOST) & (carried[2] > solved),
-                better,
-                (jnp.asarray(1), moved, left, then),
+                lambda carried: (carried[0] < _MOST) & (carried[2] > solved), better, begun
             )
             # Its derivatives are those of one more step, and have to be taken where the equation of
             # motion has its own: beyond a turn they are others.
