@@ -208,29 +208,6 @@ def test_what_joints_remember_at_the_first_row_is_asked_of_those_that_remember()
 
 
 @pytest.mark.slow
-def test_columns_of_a_fine_fit_are_coarser_and_its_residuals_are_not():
-    remembers = {"joints.memory.strength": 0.3, "joints.memory.yield_angle": 0.02}
-    model = arm(parameters=remembers)
-    truth = replace(model, {**small_arm.TRUTH, "joints.memory.delta": 0.2, "base_rotation": 0.01})
-    noise = {"position": small_arm.NOISE}
-    run = giajax.synthesise(truth, TIMES, COMMANDS, CHANNELS, noise=noise, constants=model)
-    options = {"free": list(small_arm.START), "start": small_arm.START, "check": False}
-    result = giajax.fit(model, run, **options, tolerance=1e-8)
-    assert result.integration.tolerance == 1e-8
-    coarse = giajax.suspects(result, run)
-    own = dataclasses.replace(result, model=result.model.refined(10.0))  # 1e-7 is not far finer
-    fine = giajax.suspects(own, run)
-    assert coarse.chi_square == pytest.approx(fine.chi_square, rel=1e-5)
-    for path in ("joints.memory.delta", "base_rotation[2]", "camera.delay", "air.wind[1]"):
-        assert coarse.of(path).estimate == pytest.approx(
-            fine.of(path).estimate, abs=0.05 * fine.of(path).estimate_error
-        )
-        assert coarse.of(path).estimate_error == pytest.approx(
-            fine.of(path).estimate_error, rel=0.02
-        )
-
-
-@pytest.mark.slow
 def test_points_that_a_camera_exchanged_or_lost_are_named():
     run, rows = recorded({}), slice(12, 30)
 

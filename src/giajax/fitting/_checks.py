@@ -296,14 +296,14 @@ def checks(state: FitState, statistics: Statistics) -> Checks:
 def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | None:
     """The Jacobian against a difference at the optimum, at a finer tolerance.
 
-    One direction in which every parameter has the same weight in the residual: a wrong column of
-    any of them shows. Parameters at a bound take no part, because there is nothing beyond it to
-    take a difference with, nor do those that nothing responds to where they ended. Of many runs
-    with the same channels, whose derivatives are one program, a few are looked at. Of recordings
-    with many rows the tolerance is that of the fit, and in 64 bit the difference is to one side:
-    the steps of the integrator then show, by some 1e-4, but a wrong column still does, and the
-    finer Jacobian would take as long as the fit. None where no parameter is left, or a simulation
-    fails.
+    The finer one is 1e-10 at least. One direction in which every parameter has the same weight
+    in the residual: a wrong column of any of them shows. Parameters at a bound take no part,
+    because there is nothing beyond it to take a difference with, nor do those that nothing
+    responds to where they ended. Of many runs with the same channels, whose derivatives are one
+    program, a few are looked at. Of recordings with many rows the tolerance is that of the fit,
+    and in 64 bit the difference is to one side: the steps of the integrator then show, by some
+    1e-4, but a wrong column still does, and the finer Jacobian would take as long as the fit.
+    None where no parameter is left, or a simulation fails.
     """
     tolerance = state.tolerance
     known_here = tolerance is not None and has_many_rows(state)
@@ -314,7 +314,7 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     else:
         finer = _FINER
         if tolerance is not None:
-            finer = max(min(_FINER, _FINE / tolerance), _FINEST / tolerance)
+            finer = min(max(min(_FINER, _FINE / tolerance), _FINEST / tolerance), 1.0)
         refined = capabilities.refined(problem.model, finer)
         problem = dataclasses.replace(problem, model=problem.model if refined is None else refined)
         jacobian = state.jacobian_at(evaluate(state, centre, problem, sample=True))

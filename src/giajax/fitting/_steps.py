@@ -216,7 +216,8 @@ _LARGEST_STEP = 1.5
 
 # Where an evaluation with derivatives takes longer than this, s, residuals without them are worth a
 # program of their own, which takes seconds to compile: at the end of a fit they are asked for
-# several times. Steps of the integrator, of order 5, are the more by the fifth root of a tolerance.
+# several times. The number of steps grows as tolerance^(-1/5) for a method of order 5; for others
+# that is a rough guess.
 _LONG_STEP, _ORDER = 1.0, 5
 
 _MANY_ROWS = 5_000  # with so many rows a step is known to be long before any was timed

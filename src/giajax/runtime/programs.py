@@ -12,6 +12,7 @@ import operator
 import os
 import sys
 import tempfile
+import threading
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
@@ -445,16 +446,23 @@ def program(function: Function, *, like: Callable[..., Any] | None = None) -> Fu
     whole: Callable[..., Any] | None = None
     kept: CachedProgram | None = None
 
+    making = threading.Lock()
+
+    def ready(args: tuple[Any, ...]) -> Callable[..., Any] | None:
+        nonlocal kept
+        if like is None or not caches_programs():
+            return None
+        with making:
+            kept = kept or CachedProgram(function, like, _options())
+        return kept.ready(args)
+
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        nonlocal whole, kept
+        nonlocal whole
         if _is_traced((args, kwargs)):
             return part(*args, **kwargs)
-        if like is not None and caches_programs() and not kwargs:
-            if kept is None:
-                kept = CachedProgram(function, like, _options())
-            if (known := kept.ready(args)) is not None:
-                return known(*args)
+        if not kwargs and (known := ready(args)) is not None:
+            return known(*args)
         if whole is None:
             # Asks for the device, which an import must not do.
             options = _options()
@@ -464,13 +472,7 @@ def program(function: Function, *, like: Callable[..., Any] | None = None) -> Fu
         return whole(*args, **kwargs)
 
     def ahead(*args: Any) -> bool:
-        """Have the program for arguments like these at hand; whether that can be."""
-        nonlocal kept
-        if like is None or not caches_programs():
-            return False
-        if kept is None:
-            kept = CachedProgram(function, like, _options())
-        return kept.ready(args) is not None
+        return ready(args) is not None
 
     call.ahead = ahead  # type: ignore[attr-defined]
     return call  # type: ignore[return-value]

@@ -112,28 +112,7 @@ def responses_of(
         for record in result.runs
     ]
     ties = resolved_ties(model, result.config.get("ties", {}))
-    coarse = _coarser(model) if directions else model
-    at = responses(coarse, runs, directions, own, values=values, ties=ties)
-    if coarse is model:
-        return at
-    # What is tested is left of the residuals of the fit, to which its tolerance was chosen.
-    exact = responses_of(result, runs, result.model)
-    pairs = zip(at, exact, strict=True)
-    return [dataclasses.replace(one, predicted=fine.predicted) for one, fine in pairs]
-
-
-# A fit of joints that remember may need a tolerance of 1e-8 to be right to a hundredth of a
-# standard error. Its columns are right to a few hundredths of their size with this, which a score
-# test does not see, and take a quarter of the time.
-_OF_COLUMNS, _FINE = 1e-6, 5e-8
-
-
-def _coarser(model: AbstractModel) -> AbstractModel:
-    """The model with the tolerance that columns of tests need, where its own is far finer."""
-    known = capabilities.integration(model)
-    if known is None or known.tolerance is None or known.tolerance > _FINE:
-        return model
-    return capabilities.with_integration(model, solver=None, tolerance=_OF_COLUMNS)
+    return responses(model, runs, directions, own, values=values, ties=ties)
 
 
 @dataclasses.dataclass(frozen=True)
