@@ -12,7 +12,8 @@ _INTRODUCTION = """\
 
 What takes too long for a test. Each table is written by `make evidence NAME` from the file
 beside it, which has the commit, the versions and the seed; `make test-long` runs a fiftieth of
-each study, or of some of its cases, again with other random numbers, and compares.
+each study, or of some of its cases, again with other random numbers, and compares. Where parts of
+a study were kept when it was stopped, the time is that of the run that ended it.
 """
 
 

@@ -5,18 +5,20 @@ import json
 import threading
 from typing import ClassVar
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from curves import NOISE, Curve, curve, recorded
+from curves import NOISE, TRUTH, Curve, curve, recorded
 from test_suspects import fitted
 
 import giajax
 from giajax import InputError, write_run
-from giajax.fitting import fit
+from giajax.fitting import fit, load_result
 from giajax.mechanics.arm import takeichi_20m
 from giajax.models import ArmModel, capabilities
 from giajax.recordings import hold_out, read_run
-from giajax.schema.parameters import declared, left_out
+from giajax.runtime.arrays import Scalar
+from giajax.schema.parameters import declared, left_out, parameter
 from giajax.studies import Explanation, explain, ladder, refit, suspects
 from giajax.studies._explain import JOURNAL
 
@@ -205,3 +207,65 @@ def test_turned_runs_are_files_of_their_own_and_no_users(tmp_path):
     assert not [sentence for sentence in told if sentence.startswith("fitting axes")]
     other = explain(kept(runs[:1]), runs[:1], folder=tmp_path, max_steps=0)
     assert [step.change for step in other.record.steps] == ["-"]
+
+
+class Kicked(Curve):
+    """The curve, with a part that acts at the end alone."""
+
+    kick: Scalar = parameter(0.0, unit="m/s", doc="rate from 3.2 s on")
+
+    def predict(self, inputs, channels):
+        predicted, fine = super().predict(inputs, channels)
+        late = self.kick * jnp.maximum(inputs - 3.2, 0.0)
+        return {name: row + late for name, row in predicted.items()}, fine
+
+
+@pytest.mark.slow
+def test_what_the_last_fifth_alone_shows_is_fitted_by_all_of_the_data():
+    recording = recorded(seed=2)
+    late = 0.1 * np.maximum(recording.times - 3.2, 0.0)
+    values = {name: row + late for name, row in recording.values.items()}
+    kicked = dataclasses.replace(recording, values=values)
+    model = Kicked(
+        **{field.name: getattr(curve(), field.name) for field in dataclasses.fields(Curve)}
+    )
+    begin = {"amplitude": 1.9, "decay": 0.75}
+    first = fit(model, kicked, free=list(begin), start=begin, check=False, noise_model="white")
+    told = []
+    record = explain(first, kicked, say=told.append).record
+    assert [step.change for step in record.steps] == ["-", "all of the data", "kick"]
+    assert [step.kind for step in record.steps] == ["start", "data", "parameter"]
+    assert [step.values for step in record.steps] == [288, 360, 360]
+    assert [step.held_out is None for step in record.steps] == [False, True, True]
+    assert (record.added, record.ended, record.verdict) == (("kick",), "selected", "adequate")
+    for one in record.parameters:
+        assert one.value == pytest.approx(TRUTH[one.path], abs=3 * one.total_error)
+    assert any("step 1: all of the data" in sentence for sentence in told)
+    # Steps are counted together, and what was reached is kept.
+    assert explain(first, kicked, max_steps=1).record.steps[-1].change == "kick"
+    assert explain(first, kicked, max_steps=0).record.ended == "steps"
+
+    def stop(sentence):
+        if "step 1" in sentence:
+            raise KeyboardInterrupt
+
+    record = explain(first, kicked, say=stop).record
+    assert (record.ended, [step.change for step in record.steps]) == ("interrupted", ["-"])
+    assert record.steps[0].values == 288
+
+
+def test_a_fit_whose_file_cannot_be_read_is_passed_over(tmp_path, monkeypatch):
+    recording = recorded(late=0.05, seed=2)
+    first = kept([recording])
+
+    def refuse(path):
+        if path.name != "000.json":
+            raise InputError("no file may say so: correct it")
+        return load_result(path)
+
+    monkeypatch.setattr("giajax.studies._explain.load_result", refuse)
+    record = explain(first, recording, folder=tmp_path).record
+    assert (record.ended, record.added) == ("selected", ())
+    # The journal says why, and gives the same.
+    assert "no file may say so" in (tmp_path / JOURNAL).read_text()
+    assert explain(first, recording, folder=tmp_path).record == record

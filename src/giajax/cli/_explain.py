@@ -99,7 +99,10 @@ def explain(
         task = task.on_top(budget=budget, origin="the command line")
     seconds = task.definition.fit.budget_s
     if page:
-        check_page(folder / PAGE, force=force or resume is not None)
+        try:
+            check_page(folder / PAGE, force=force or resume is not None)
+        except InputError as error:
+            raise InputError(f"{error}, or leave the page out with --no-page") from None
     configure()
     from ..fitting import Budget
     from ..report import report_page, write_result

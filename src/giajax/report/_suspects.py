@@ -142,10 +142,12 @@ def explained_summary(found: Explanation) -> list[str]:
         f"chi-square {last.chi_square:.5g} of {last.values} values and {last.parameters} fitted "
         "parameters",
     ]
-    if last.held_out is not None:
+    if judged := [step for step in found.steps if step.held_out is not None]:
+        later = "".join(f" before {step.change}" for step in found.steps if step.kind == "data")
+        off, off_first = judged[-1].held_out, judged[0].held_out
         sentences.append(
-            f"what no step was fitted to is off by {last.held_out:.3g} times its noise "
-            f"({found.steps[0].held_out:.3g} by the first model)"
+            f"what no step{later} was fitted to is off by {off:.3g} times its noise "
+            f"({off_first:.3g} by the first model)"
         )
     if found.outliers:
         sentences.append(f"{found.outliers} outliers were seen: the loss is {found.loss}")

@@ -61,9 +61,10 @@ class _Base(Group):
         "turn of the straight arm against the base frame, as a rotation vector",
         shape=(3,),
     ).keyed("base_rotation_deg")
+    # What is fitted where buoyancy balances weight may end a little below zero, and is read again.
     gravity = Declaration(
         0.0, "m/s^2", "acceleration of gravity along -z; 0 where buoyancy balances weight"
-    ).keyed("gravity_m_per_s2", lower=0, closed=True, remark=" (it acts along -z)")
+    ).keyed("gravity_m_per_s2", lower=-1, closed=True, remark=" (it acts along -z)")
 
 
 class _PointMasses(Group):

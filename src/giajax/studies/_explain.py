@@ -39,7 +39,7 @@ from ..runtime.process import stop_if_asked
 from ..runtime.records import from_plain, plain_data
 from ..runtime.text import InputError, time_in_words
 from ._columns import mistakes_of
-from ._explain_records import ExplainedParameter, ExplainedStep, Explanation
+from ._explain_records import ALL, Ended, ExplainedParameter, ExplainedStep, Explanation
 from ._refit import fit_key, refit, with_fitted_state
 from ._stepwise import (
     TRIES,
@@ -54,7 +54,7 @@ from ._stepwise import (
     is_one,
     side_by_side,
 )
-from ._suspects import Suspects, outlying
+from ._suspects import LEVEL, Suspects, outlying
 from ._systematic import with_suspects
 
 NEARNESS = 6.0
@@ -165,23 +165,29 @@ class Kept(AbstractFits):
         # What is not there by then goes on in the fits that follow.
         ended, stopped = side_by_side(result, missing, self.budget, max_iterations=_ITERATIONS)
         for change, fitted in zip(missing, ended, strict=False):
-            if isinstance(fitted, InputError):
-                self._keep({"name": change.name, "refused": str(fitted)})
-                found.append(fitted)
-                continue
-            if self.folder is not None:
-                file = f"{len(list((self.folder / FITS).glob('*.json'))):03d}.json"
-                data = fitted.to_json().encode()
-                write_files({self.folder / FITS / file: data}, force=True)
-                self._keep({"name": change.name, "fit": file})
-                # As it is when the journal is read: what follows is the same to the last digit.
-                fitted = load_result(self.folder / FITS / file)
-            found.append(fitted)
+            kept = self._kept(fitted)
+            line = (
+                {"refused": str(kept[0])} if isinstance(kept[0], InputError) else {"fit": kept[1]}
+            )
+            self._keep({"name": change.name, **line})
+            found.append(kept[0])
         if stopped:
             raise KeyboardInterrupt
         if len(ended) < len(missing):
             raise _Stopped
         return found
+
+    def _kept(self, fitted: FitResult | InputError) -> tuple[FitResult | InputError, str]:
+        """A fit as its file has it, so that what follows is the same when the journal is read."""
+        if self.folder is None or isinstance(fitted, InputError):
+            return fitted, ""
+        file = f"{len(list((self.folder / FITS).glob('*.json'))):03d}.json"
+        path = self.folder / FITS / file
+        write_files({path: fitted.to_json().encode()}, force=True)
+        try:
+            return load_result(path), file
+        except InputError as error:  # It ended where no file may have its parameters.
+            return error, file
 
     def _recorded(self, line: dict[str, Any]) -> FitResult | InputError:
         """A fit of the journal, or why there is none."""
@@ -263,7 +269,7 @@ def explain(
     - a nuisance that the data move far from what is usual is tried without its prior;
     - without validation or `held_out` the last fifth of each run is kept from all steps, to judge
       them by, where that leaves a part of each to fit. The final model is fitted to all of it, with
-      the noise that the first one looked for.
+      the noise that the first one looked for, and where that asks for more, steps go on so.
 
     The errors of the final fit are conditional on its model, which these data selected. What the
     models that fit nearly as well (`NEARNESS`) say otherwise is added as the `selection_error`.
@@ -303,8 +309,23 @@ def explain(
     max_steps = _STEPS if kept.asked.max_steps is None else kept.asked.max_steps
     climb = Climb(fitted, apart, kept)
     climb.progress = _Told(climb, kept.say, max_steps).step
-    outliers, ended = 0, "steps"
-    try:
+    chosen = functools.partial(_chosen, tries)
+    outliers, left = 0, max_steps
+
+    def grow(begin: tuple[FitResult, Sequence[Run]] | None = None) -> Ended:
+        nonlocal left
+        while left:
+            end = climb.step(tries + _MEMBERS, chosen, _preferred, begin)
+            if end and begin is not None:
+                end = climb.step(tries + _MEMBERS, chosen, _preferred)
+            if end:
+                return "selected"
+            begin, left = None, left - 1
+        climb.ending = f"{max_steps} steps were allowed"
+        return "steps"
+
+    def first() -> Ended:
+        nonlocal outliers
         if result.status == "interrupted":
             raise KeyboardInterrupt
         try:
@@ -314,38 +335,43 @@ def explain(
                 raise
             start = result.history[0].parameters
             begun = kept.refit("the first model from its start", partly, fitted, start=start)
-        first = Measured.of(begun, fitted, apart)
-        outliers = sum(int(np.sum(found)) for found in outlying(first.at))
+        one = Measured.of(begun, fitted, apart)
+        outliers = sum(int(np.sum(found)) for found in outlying(one.at))
         if outliers and result.loss.is_linear:
             kept.say(f"{outliers} outliers: residuals count by the loss {ROBUST}")
             begun = kept.refit(f"the first model by {ROBUST}", begun, fitted, loss=ROBUST)
-            first = Measured.of(begun, fitted, apart)
-        climb.take(first)
-        chosen = functools.partial(_chosen, tries)
+            one = Measured.of(begun, fitted, apart)
+        climb.take(one)
         # White noise may lead a wrong model astray, to where what is missing acts no more.
-        begin = (partly, whole) if _moved(result, first.result) and not outliers else None
-        for _ in range(max_steps):
-            end = climb.step(tries + _MEMBERS, chosen, _preferred, begin)
-            if end and begin is not None:
-                end = climb.step(tries + _MEMBERS, chosen, _preferred)
-            begin = None
-            if end:
-                ended = "selected"
-                break
-        else:
-            climb.ending = f"{max_steps} steps were allowed"
-    except KeyboardInterrupt:
-        ended, climb.ending = "interrupted", "interrupted: this is what was reached"
-    except _Stopped:
-        ended, climb.ending = "budget", "the budget was used up: this is what was reached"
-    except InputError as error:
-        ended, climb.ending = "failed", str(error)
+        moved = _moved(result, one.result) and not outliers
+        return grow((partly, whole) if moved else None)
+
+    ended = _ended(climb, first)
     if not climb.taken:
         climb.take(Measured.of(result, fitted, apart))
     if not apart:
         climb.ending += "; nothing could be held out to judge the steps by"
     judges = len(validation), len(held_out)
     final, seen = _final(result, climb, whole, kept, judges, ended == "interrupted")
+    if ended == "selected" and partly is not result and _asks(final):
+
+        def further() -> Ended:
+            begun = kept.refit("the selected model with white noise", final, seen)
+            climb.runs, climb.apart = seen, []
+            climb.take(Measured.of(begun, seen, []))
+            return grow()
+
+        before = dataclasses.replace(
+            climb, taken=[*climb.taken], asked=[*climb.asked], passed=[*climb.passed]
+        )
+        stopped = _ended(climb, further)
+        if len(climb.taken) > len(before.taken) + 1:
+            ended = stopped
+            final, seen = _final(result, climb, whole, kept, judges, ended == "interrupted")
+        else:  # Nothing made it better.
+            if stopped in ("interrupted", "budget", "steps"):
+                ended, before.ending = stopped, climb.ending
+            climb = before
     record = _record(result, climb, final, ended, outliers)
     if len(record.steps) > 1 or final.loss != result.loss:
         sentence = (
@@ -354,6 +380,28 @@ def explain(
         )
         final = dataclasses.replace(final, conditions=(*final.conditions, sentence))
     return Explained(record, final, seen)
+
+
+def _ended(climb: Climb, grow: Callable[[], Ended]) -> Ended:
+    """How growing ended, of which the climb has the sentence."""
+    try:
+        return grow()
+    except KeyboardInterrupt:
+        climb.ending = "interrupted: this is what was reached"
+        return "interrupted"
+    except _Stopped:
+        climb.ending = "the budget was used up: this is what was reached"
+        return "budget"
+    except InputError as error:
+        climb.ending = str(error)
+        return "failed"
+
+
+def _asks(final: FitResult) -> bool:
+    """Whether the final fit is not adequate for something that could be fitted."""
+    return final.verdict.status != "adequate" and any(
+        (row.p_value or 0.0) < LEVEL and is_one(final.model, row) for row in final.suspects
+    )
 
 
 def _without_last(
@@ -398,7 +446,9 @@ class _Told:
         done = len(self.climb.taken) - 1
         taken = -self.clock.left()
         self.clock = Budget(0.0)
-        name = "the first model" if step.suspect is None else f"step {done}: {step.change}"
+        name = f"step {done}: {step.change}" if done else "the first model"
+        if done and step.suspect is None:
+            name = f"step {done}: {ALL}"
         reduced = step.chi_square / max(step.values - step.parameters, 1)
         left = time_in_words(taken * max(self.most - done, 0))
         more = f"; at most about {left} left, and less where nothing is asked for" if done else ""
@@ -574,9 +624,10 @@ def _record(
 
     def row(step: Step, taken: bool) -> ExplainedStep:
         suspect = step.suspect
+        further = suspect is None and step.result is not climb.taken[0].result
         return ExplainedStep(
-            change=step.change,
-            kind="start" if suspect is None else suspect.kind,
+            change=ALL if further else step.change,
+            kind="data" if further else "start" if suspect is None else suspect.kind,
             taken=taken,
             p_value=None if suspect is None or step.removed else suspect.p_value,
             chi_square=step.chi_square,
@@ -593,13 +644,18 @@ def _record(
 
     steps = [row(step, True) for step in climb.steps()]
     tried = [row(fit.step(noise), False) for fit in climb.passed]
-    near = [i for i, one in enumerate(tried) if one.bic - steps[-1].bic < NEARNESS]
-    models = [steps[-1], *(tried[i] for i in near)]
+    last = steps[-1]
+    near = [
+        i
+        for i, one in enumerate(tried)
+        if one.values == last.values and one.bic - last.bic < NEARNESS
+    ]
+    models = [last, *(tried[i] for i in near)]
     parameters = []
-    for path, (last, _) in steps[-1].estimates.items():
+    for path, (value, _) in last.estimates.items():
         having = [each for each in models if path in each.estimates]
-        weights = np.exp(-np.maximum([each.bic - steps[-1].bic for each in having], 0.0) / 2)
-        apart = np.array([each.estimates[path][0] for each in having]) - last
+        weights = np.exp(-np.maximum([each.bic - last.bic for each in having], 0.0) / 2)
+        apart = np.array([each.estimates[path][0] for each in having]) - value
         selection = float(np.sqrt(np.sum(weights * apart**2) / np.sum(weights)))
         one = final.parameters[path]
         error = one.standard_error

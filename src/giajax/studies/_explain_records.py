@@ -5,14 +5,21 @@ from typing import Literal
 
 from ._refit import StudyRecord
 
+ALL = "all of the data"
+"""The change of a step that adds nothing: from here on nothing is kept to judge steps by."""
+
+Ended = Literal["selected", "steps", "budget", "interrupted", "failed"]
+
 
 @dataclasses.dataclass(frozen=True)
 class ExplainedStep:
     """One fit of an explanation.
 
     Attributes:
-        change: a path or a choice, `without` one, or "-" for the first.
-        kind: of the suspect, as of `giajax.fitting.Suspect`; "start" for the first.
+        change: a path or a choice, `without` one, "-" for the first, or `ALL` for the same model
+            fitted to more, which later steps are fitted to as well.
+        kind: of the suspect, as of `giajax.fitting.Suspect`; "start" for the first, "data" for
+            `ALL`.
         taken: whether it is a step, or was tried alone.
         p_value: of the test that asked for it, corrected for the number of tests.
         chi_square: with the white noise of the last step.
@@ -81,7 +88,7 @@ class Explanation(
     """
 
     fit: str
-    ended: Literal["selected", "steps", "budget", "interrupted", "failed"]
+    ended: Ended
     ending: str
     status: str
     verdict: str
@@ -100,6 +107,8 @@ class Explanation(
         """What the final model has beyond the first one."""
         kept: list[str] = []
         for step in self.steps[1:]:
+            if step.kind == "data":
+                continue
             path = step.change.removeprefix("without ")
             kept = [one for one in kept if one != path] if path != step.change else [*kept, path]
         return tuple(kept)
