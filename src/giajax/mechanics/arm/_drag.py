@@ -10,7 +10,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Float, Scalar, dot, safe_norm, scaled, smaller
+from ...runtime.arrays import (
+    Array,
+    Float,
+    Scalar,
+    computed_once,
+    derivative_barrier,
+    dot,
+    safe_norm,
+    scaled,
+    smaller,
+)
 from ...runtime.text import InputError, tried
 from ...schema.parameters import is_concrete
 
@@ -29,17 +39,34 @@ _REFERENCE = 1e5  # the Reynolds number at which `air.drag_coefficient` is meant
 
 def cylinder_drag_coefficient(reynolds: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """C_D, by length times diameter, of a smooth cylinder in cross flow at Re = |V| d / nu."""
-    return jnp.exp(np.log(10) * _log10(reynolds))
+    coefficient: Array = _curve(reynolds)
+    return coefficient
 
 
-def _log10(reynolds: Array) -> Array:
+@jax.custom_jvp
+def _curve(reynolds: Array) -> Array:
+    return _curve_and_slope(reynolds)[0]
+
+
+@_curve.defjvp
+def _curve_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    """With the value and the slope computed once for all directions."""
+    value, slope = computed_once(jnp.stack(_curve_and_slope(*primals)))
+    return value, slope * tangents[0]
+
+
+def _curve_and_slope(reynolds: Array) -> tuple[Array, Array]:
     # Smooth at Re = 0, where an arm at rest is differentiated.
-    square = smaller(reynolds * reynolds + _LOWEST**2, _HIGHEST**2)
+    beyond = reynolds * reynolds + _LOWEST**2
+    square = smaller(beyond, _HIGHEST**2)
     x = jnp.log(square) / (2 * np.log(10))
-    value = _LINE[0] + _LINE[1] * x
+    value, slope = _LINE[0] + _LINE[1] * x, jnp.full_like(x, _LINE[1])
     for height, place, width in zip(_HEIGHT, _PLACE, _WIDTH, strict=True):
-        value = value + float(height) * jnp.tanh((x - float(place)) / float(width))
-    return value
+        step = jnp.tanh((x - float(place)) / float(width))
+        value = value + float(height) * step
+        slope = slope + float(height / width) * (1 - step * step)
+    value = jnp.exp(np.log(10) * value)
+    return value, jnp.where(beyond > _HIGHEST**2, 0, value * slope * reynolds / square)
 
 
 class Stream(NamedTuple):
@@ -118,7 +145,7 @@ def _factor(curve: str, stream: Stream, speed: Array) -> Array | float:
         return 1.0
     x = np.log10(_REFERENCE)
     reference = _LINE[0] + _LINE[1] * x + np.sum(_HEIGHT * np.tanh((x - _PLACE) / _WIDTH))
-    return jnp.exp(np.log(10) * (_log10(stream.reynolds(speed)) - float(reference)))
+    return cylinder_drag_coefficient(stream.reynolds(speed)) * float(10**-reference)
 
 
 class CentreDrag(AbstractDragLaw):
@@ -157,7 +184,7 @@ class StripDrag(AbstractDragLaw):
         speed = safe_norm(stream.across)
         half = 0.5 * stream.density * stream.diameter
         size = half * self.coefficient * _factor(self.curve, stream, speed)
-        force = -scaled(size * speed, stream.across)
+        force = -scaled(derivative_barrier(size * speed), stream.across)
         if self.axial is None:
             return force
         skin = half * self.axial * jnp.abs(stream.along) * stream.along

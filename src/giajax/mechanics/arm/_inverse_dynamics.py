@@ -353,8 +353,10 @@ def carried_load(
             arm, rod, here, relative, leaning, omega, alpha, centre_acceleration, wind
         )
         force, spin = force + push, spin - couple
-    both = derivative_barrier(jnp.concatenate([inertial, force]))
-    inertial, force = both[:3], both[3:]
+    # Of a round body alone, what turns it is made of few operations.
+    heavy = rod is not None or body.uneven is not None or load.couple is not None
+    apart = derivative_barrier(jnp.concatenate([inertial, force, *([spin] if heavy else [])]))
+    inertial, force, spin = apart[:3], apart[3:6], apart[6:] if heavy else spin
     moment = spin + cross(here.mass_centre, inertial) - cross(here.centre, force)
     return jnp.concatenate([inertial - force, moment])
 
