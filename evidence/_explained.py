@@ -112,7 +112,7 @@ def one(name: str, entropy: list[int], code: str | None) -> Figures:
         "minutes": round(minutes, 1),
         "ended": found.record.ended,
         "sentences": list(found.record.sentences),
-        "steps": [step.change for step in found.record.steps[1:]],
+        "steps": [step.change for step in found.record.steps[1:] if step.kind != "data"],
         "explained": of_drag(found.result, truth, drag.total_error),
         "by hand": of_drag(hand, truth),
     }

@@ -6,7 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from giajax.recordings import Definition, to_toml
+from giajax.recordings import Definition, oddities, read_run, to_toml
 from giajax.runtime.text import InputError
 
 pytestmark = pytest.mark.quick
@@ -169,6 +169,17 @@ def test_arrays_and_tuples_of_a_notebook_are_lists():
     assert Definition.parse({"wind": {"velocity_m_per_s": (0, 0, 1)}}).wind.velocity_m_per_s == [
         0.0, 0.0, 1.0,
     ]  # fmt: skip
+
+
+def test_gravity_that_a_fit_found_a_little_below_zero_is_read_again(tmp_path):
+    """And an arm that swings freely in it is checked, as one where buoyancy balances weight."""
+    (tmp_path / "run.csv").write_text(
+        "time_s,tip_z_m\n" + "".join(f"{k},{0.1 * np.cos(0.2 * k)}\n" for k in range(90))
+    )
+    text = 'schema_version = 1\nmodel = "arm"\nfree_motion = true\n[arm]\nlinks = 2\n'
+    text += "link_length_m = 1.0\ngravity_m_per_s2 = -0.05\n"
+    assert loaded(tmp_path, text).arm.gravity_m_per_s2 == -0.05
+    oddities(read_run(tmp_path / "run.csv"))
 
 
 # What is given, and what the one sentence must contain.

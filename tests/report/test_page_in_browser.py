@@ -8,6 +8,7 @@ import pytest
 
 from docs.machinery import browse
 from giajax.cli import main
+from giajax.fitting import load_result
 from giajax.report import report_page
 from page_reader import Page
 
@@ -53,6 +54,6 @@ def test_a_shipped_fit_with_every_study(name, browser, tmp_path):
     page = Page((tmp_path / "site" / "report.html").read_bytes())
     assert {"profiles", "repetitions", "influence", "posterior"} <= set(page.headings)
     assert "Optima that the starts reached" in page.text
-    stored = json.loads((folder / "result.json").read_text())["parameters"]
+    shown = load_result(folder).shown
     exact = [json.loads(a["data-exact"]) for _, a in page.tags if "data-exact" in a]
-    assert exact == [estimate["value"] for estimate in stored.values()]
+    assert exact == [estimate["value"] for estimate in shown.values()]

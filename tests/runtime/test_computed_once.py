@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.runtime.arrays import derivative_barrier
+from giajax.runtime.arrays import computed_once, derivative_barrier
 
 X, DIRECTIONS = np.random.default_rng(0).normal(size=(2, 3, 20))
 
@@ -18,6 +18,7 @@ def force(x):
 def test_values_and_derivatives_are_those_without():
     assert_allclose(jax.jit(force)(X), np.sin(X) * np.cos(X), rtol=1e-15)
     assert_allclose(force(jnp.asarray(X)), np.sin(X) * np.cos(X), rtol=1e-15)
+    assert_allclose(computed_once(jnp.asarray(X)), X, rtol=0)
     slope = np.cos(2 * X)
     forward = jax.jit(lambda x, t: jax.jvp(force, (x,), (t,))[1])(X, DIRECTIONS)
     assert_allclose(forward, slope * DIRECTIONS, rtol=1e-13)
@@ -41,3 +42,4 @@ def test_derivatives_are_a_kernel_of_their_own_and_values_are_not():
 
     assert kernels(force, X) == 0
     assert kernels(lambda x, t: jax.jvp(force, (x,), (t,))[1], X, DIRECTIONS) == 1
+    assert kernels(lambda x: computed_once(jnp.sin(x)) * jnp.cos(x), X) == 1

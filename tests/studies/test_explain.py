@@ -31,9 +31,10 @@ class Kept(Curve):
     from_definition = classmethod(lambda cls, _: cls(weights=np.ones(2)))
 
 
-def kept(runs):
+def kept(runs, of=None):
     """A fit that a file holds, too."""
-    model = Kept(**{field.name: getattr(curve(), field.name) for field in dataclasses.fields(Kept)})
+    names = [field.name for field in dataclasses.fields(Curve)]
+    model = (of or Kept)(**{name: getattr(curve(), name) for name in names})
     begin = {"amplitude": 1.9, "decay": 0.75}
     return fit(model, runs, free=list(begin), start=begin, check=False, noise_model="white")
 
@@ -209,9 +210,11 @@ def test_turned_runs_are_files_of_their_own_and_no_users(tmp_path):
     assert [step.change for step in other.record.steps] == ["-"]
 
 
-class Kicked(Curve):
+@giajax.register
+class Kicked(Kept):
     """The curve, with a part that acts at the end alone."""
 
+    kind: ClassVar[str] = "kicked_curve"
     kick: Scalar = parameter(0.0, unit="m/s", doc="rate from 3.2 s on")
 
     def predict(self, inputs, channels):
@@ -220,38 +223,72 @@ class Kicked(Curve):
         return {name: row + late for name, row in predicted.items()}, fine
 
 
-@pytest.mark.slow
-def test_what_the_last_fifth_alone_shows_is_fitted_by_all_of_the_data():
-    recording = recorded(seed=2)
+def kicked():
+    """A late recording of it."""
+    recording = recorded(late=0.05, seed=2)
     late = 0.1 * np.maximum(recording.times - 3.2, 0.0)
     values = {name: row + late for name, row in recording.values.items()}
-    kicked = dataclasses.replace(recording, values=values)
-    model = Kicked(
-        **{field.name: getattr(curve(), field.name) for field in dataclasses.fields(Curve)}
-    )
-    begin = {"amplitude": 1.9, "decay": 0.75}
-    first = fit(model, kicked, free=list(begin), start=begin, check=False, noise_model="white")
-    told = []
-    record = explain(first, kicked, say=told.append).record
-    assert [step.change for step in record.steps] == ["-", "all of the data", "kick"]
-    assert [step.kind for step in record.steps] == ["start", "data", "parameter"]
-    assert [step.values for step in record.steps] == [288, 360, 360]
-    assert [step.held_out is None for step in record.steps] == [False, True, True]
-    assert (record.added, record.ended, record.verdict) == (("kick",), "selected", "adequate")
-    for one in record.parameters:
-        assert one.value == pytest.approx(TRUTH[one.path], abs=3 * one.total_error)
-    assert any("step 1: all of the data" in sentence for sentence in told)
-    # Steps are counted together, and what was reached is kept.
-    assert explain(first, kicked, max_steps=1).record.steps[-1].change == "kick"
-    assert explain(first, kicked, max_steps=0).record.ended == "steps"
+    return dataclasses.replace(recording, values=values)
 
+
+def stop_at(words):
     def stop(sentence):
-        if "step 1" in sentence:
+        if words in sentence:
             raise KeyboardInterrupt
 
-    record = explain(first, kicked, say=stop).record
-    assert (record.ended, [step.change for step in record.steps]) == ("interrupted", ["-"])
-    assert record.steps[0].values == 288
+    return stop
+
+
+@pytest.mark.slow
+def test_what_the_last_fifth_alone_shows_is_fitted_by_all_of_the_data():
+    recording = kicked()
+    first = kept([recording], Kicked)
+    told = []
+    record = explain(first, recording, say=told.append).record
+    assert [step.change for step in record.steps] == ["-", "late", "all of the data", "kick"]
+    assert [step.kind for step in record.steps] == ["start", "parameter", "data", "parameter"]
+    assert [step.values for step in record.steps] == [288, 288, 360, 360]
+    assert [step.held_out is None for step in record.steps] == [False, False, True, True]
+    assert (record.added, record.ended, record.verdict) == (
+        ("late", "kick"),
+        "selected",
+        "adequate",
+    )
+    for one in record.parameters:
+        assert one.value == pytest.approx(TRUTH[one.path], abs=3 * one.total_error)
+    assert any(sentence.startswith("all of the data: ") for sentence in told)
+    assert any(sentence.startswith("step 2: kick: ") for sentence in told)
+    # Steps are counted together.
+    record = explain(first, recording, max_steps=1).record
+    assert (record.ended, record.added) == ("steps", ("late",))
+    for words in ("selected model to all", "selected model held", "with white noise", "all of the"):
+        record = explain(first, recording, say=stop_at(words)).record
+        assert (record.ended, [step.change for step in record.steps]) == (
+            "interrupted",
+            ["-", "late"],
+        )
+    record = explain(first, recording, say=stop_at("step 2: kick")).record
+    assert (record.ended, record.added) == ("interrupted", ("late", "kick"))
+
+
+@pytest.mark.slow
+def test_time_that_is_up_before_the_last_fit_is_said_and_the_rest_follows(tmp_path):
+    recording = kicked()
+    first = kept([recording], Kicked)
+    whole = explain(first, recording, folder=tmp_path).record
+    assert whole.added == ("late", "kick")
+    late = explain(first, recording, folder=tmp_path, budget_s=0.0)
+    assert (late.record.ended, late.record.added) == ("budget", ("late",))
+    assert any("the final fit did not come to its end" in one for one in late.result.conditions)
+    assert explain(first, recording, folder=tmp_path).record == whole
+    # Each fit says what it is of.
+    counts = []
+    for path in sorted((tmp_path / "fits").glob("*.json")):
+        one = load_result(path)
+        (about,) = one.config.get("runs") or [{}]
+        counts.append(sum(channel.n for channel in one.runs[0].channels.values()))
+        assert (counts[-1] == 288) == bool(about.get("held_from"))
+    assert {288, 360} == set(counts)
 
 
 def test_a_fit_whose_file_cannot_be_read_is_passed_over(tmp_path, monkeypatch):

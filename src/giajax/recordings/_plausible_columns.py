@@ -393,7 +393,7 @@ def _swings_faster(look: Look, period: float) -> bool:
     if count is None or LINKS.length.path not in known or not np.any(gravity):
         return False
     reach = float(np.sum(np.broadcast_to(known[LINKS.length.path], (count,))))
-    slow = 2 * np.pi * np.sqrt(2 * reach / (3 * float(np.max(gravity)))) < period
+    slow = 2 * np.pi * np.sqrt(2 * reach / (3 * float(np.max(np.abs(gravity))))) < period
     return slow and any(
         cells.step < 0.5 * _typical(cells.values - np.median(cells.values))
         for cells in look.measured.values()

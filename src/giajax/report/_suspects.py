@@ -15,6 +15,7 @@ from ..studies import (
     Explanation,
     StepwiseSelection,
     Suspects,
+    behind,
     promising,
     together,
 )
@@ -152,7 +153,8 @@ def explained_summary(found: Explanation) -> list[str]:
     if found.outliers:
         sentences.append(f"{found.outliers} outliers were seen: the loss is {found.loss}")
     near = ", ".join(
-        f"{found.tried[i].change} ({found.tried[i].bic - last.bic:+.2g})" for i in found.near
+        f"{found.tried[i].change} ({behind(found.steps, found.tried[i])[0]:+.2g})"
+        for i in found.near
     )
     sentences.append(
         f"tried, and within {found.nearness:g} of its BIC: {near}"

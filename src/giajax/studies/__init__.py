@@ -34,6 +34,7 @@ from ._explain_records import (
     ExplainedParameter as ExplainedParameter,
     ExplainedStep as ExplainedStep,
     Explanation as Explanation,
+    behind as behind,
 )
 from ._influence import (
     Influence as Influence,

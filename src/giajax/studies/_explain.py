@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,7 +39,14 @@ from ..runtime.process import stop_if_asked
 from ..runtime.records import from_plain, plain_data
 from ..runtime.text import InputError, time_in_words
 from ._columns import mistakes_of
-from ._explain_records import ALL, Ended, ExplainedParameter, ExplainedStep, Explanation
+from ._explain_records import (
+    ALL,
+    Ended,
+    ExplainedParameter,
+    ExplainedStep,
+    Explanation,
+    behind,
+)
 from ._refit import fit_key, refit, with_fitted_state
 from ._stepwise import (
     TRIES,
@@ -352,34 +359,41 @@ def explain(
     if not apart:
         climb.ending += "; nothing could be held out to judge the steps by"
     judges = len(validation), len(held_out)
-    final, seen = _final(result, climb, whole, kept, judges, ended == "interrupted")
-    if ended == "selected" and partly is not result and _asks(final):
+    final = _final(result, climb, whole, kept, judges, ended == "interrupted")
+    if ended == "selected" and final.stopped is not None:
+        # All of the data may ask for more.
+        ended, climb.ending = final.stopped, _STOPPED[final.stopped]
+    if ended == "selected" and partly is not result and _asks(final.result):
 
         def further() -> Ended:
-            begun = kept.refit("the selected model with white noise", final, seen)
-            climb.runs, climb.apart = seen, []
-            climb.take(Measured.of(begun, seen, []))
+            # Without what was kept from the steps before.
+            config = {**final.result.config, "runs": result.config.get("runs", [])}
+            by_all = dataclasses.replace(final.result, config=config)
+            begun = kept.refit("the selected model with white noise", by_all, final.runs)
+            climb.runs, climb.apart = final.runs, []
+            climb.take(Measured.of(begun, final.runs, []))
             return grow()
 
         before = dataclasses.replace(
             climb, taken=[*climb.taken], asked=[*climb.asked], passed=[*climb.passed]
         )
-        stopped = _ended(climb, further)
+        grown = _ended(climb, further)
         if len(climb.taken) > len(before.taken) + 1:
-            ended = stopped
-            final, seen = _final(result, climb, whole, kept, judges, ended == "interrupted")
+            ended = grown
+            final = _final(result, climb, whole, kept, judges, ended == "interrupted")
         else:  # Nothing made it better.
-            if stopped in ("interrupted", "budget", "steps"):
-                ended, before.ending = stopped, climb.ending
+            if grown != "failed" and grown != "selected":
+                ended, before.ending = grown, climb.ending
             climb = before
-    record = _record(result, climb, final, ended, outliers)
-    if len(record.steps) > 1 or final.loss != result.loss:
+    last = final.result
+    record = _record(result, climb, last, ended, outliers)
+    if len(record.steps) > 1 or last.loss != result.loss:
         sentence = (
             "the model was selected by these data: standard errors are conditional on it, and "
             "explain.json adds what models say that fit nearly as well (selection_error)"
         )
-        final = dataclasses.replace(final, conditions=(*final.conditions, sentence))
-    return Explained(record, final, seen)
+        last = dataclasses.replace(last, conditions=(*last.conditions, sentence))
+    return Explained(record, last, final.runs)
 
 
 def _ended(climb: Climb, grow: Callable[[], Ended]) -> Ended:
@@ -387,14 +401,20 @@ def _ended(climb: Climb, grow: Callable[[], Ended]) -> Ended:
     try:
         return grow()
     except KeyboardInterrupt:
-        climb.ending = "interrupted: this is what was reached"
+        climb.ending = _STOPPED["interrupted"]
         return "interrupted"
     except _Stopped:
-        climb.ending = "the budget was used up: this is what was reached"
+        climb.ending = _STOPPED["budget"]
         return "budget"
     except InputError as error:
         climb.ending = str(error)
         return "failed"
+
+
+_STOPPED: dict[Ended, str] = {
+    "interrupted": "interrupted: this is what was reached",
+    "budget": "the budget was used up: this is what was reached",
+}
 
 
 def _asks(final: FitResult) -> bool:
@@ -443,12 +463,12 @@ class _Told:
 
     def step(self, step: Step) -> None:
         """A fit was taken."""
-        done = len(self.climb.taken) - 1
+        done = sum(fit.suspect is not None for fit in self.climb.taken)
         taken = -self.clock.left()
         self.clock = Budget(0.0)
-        name = f"step {done}: {step.change}" if done else "the first model"
-        if done and step.suspect is None:
-            name = f"step {done}: {ALL}"
+        name = f"step {done}: {step.change}"
+        if step.suspect is None:
+            done, name = 0, ALL if len(self.climb.taken) > 1 else "the first model"
         reduced = step.chi_square / max(step.values - step.parameters, 1)
         left = time_in_words(taken * max(self.most - done, 0))
         more = f"; at most about {left} left, and less where nothing is asked for" if done else ""
@@ -502,15 +522,23 @@ def _preferred(made: Sequence[Tried]) -> Tried:
     return next((each for each in rather if each[0].step(best.noise).bic < limit), of_best)
 
 
+class _Final(NamedTuple):
+    """A last fit with its runs, and what kept it from its end, if anything did."""
+
+    result: FitResult
+    runs: list[Run]
+    stopped: Ended | None
+
+
 def _final(
     result: FitResult,
     climb: Climb,
     whole: list[Run],
     kept: Kept,
     judges: tuple[int, int],
-    stopped: bool,
-) -> tuple[FitResult, list[Run]]:
-    """The last fit, of the whole runs and with the noise asked for, and these runs.
+    interrupted: bool,
+) -> _Final:
+    """The last fit, of the whole runs and with the noise asked for.
 
     Where that cannot be, it is the fit of the last step, and says so.
     """
@@ -523,6 +551,7 @@ def _final(
         # Other commands read them again.
         seen = _written(seen, kept.folder / FITS / "runs")
     last, runs = climb.last.result, seen
+    stopped: Ended | None = "interrupted" if interrupted else None
     if not changes and last.loss == result.loss:
         last = result
     else:
@@ -533,11 +562,13 @@ def _final(
         )
         last = dataclasses.replace(last, runs=records)
         again = None
-        if not (stopped or kept.is_late):
-            kept.say("fitting the selected model to all of the data ...")
+        if stopped is None and kept.is_late:
+            stopped = "budget"
+        if stopped is None:
             # Without what was kept from the steps alone.
             config = {**last.config, "runs": result.config.get("runs", [])}
             try:
+                kept.say("fitting the selected model to all of the data ...")
                 again = refit(
                     dataclasses.replace(last, config=config),
                     seen,
@@ -546,11 +577,14 @@ def _final(
                     progress=stop_if_asked,
                     check=True,
                 )
-                stopped = again.status == "interrupted"
+                if again.reason == "interrupted":
+                    stopped = "interrupted"
+                elif again.reason == "budget":
+                    stopped = "budget"
             except InputError:  # It cannot be evaluated a little inside of its bounds.
                 pass
             except KeyboardInterrupt:
-                stopped = True
+                stopped = "interrupted"
         if again is not None and again.status == "converged":
             last = again
         else:
@@ -560,23 +594,23 @@ def _final(
             ]
             sentence = (
                 "this is the fit of the last step, with white noise and of what the steps were "
-                "fitted to: that of all of the data did not come to its end"
+                "fitted to: the final fit did not come to its end"
             )
             last = dataclasses.replace(last, conditions=(*last.conditions, sentence))
         last = _judged(last, result, climb.apart, *judges)
     known = climb.asked[-1]
     # What was asked already is not asked again where no time is left.
-    if not (stopped or (kept.is_late and known is not None)):
+    if stopped != "interrupted" and not (kept.is_late and known is not None):
         try:
             kept.say("testing what the selected model held or left out ...")
-            return with_suspects(last, runs), seen
+            return _Final(with_suspects(last, runs), seen, stopped)
         except KeyboardInterrupt:
-            pass
+            stopped = "interrupted"
         except Exception as error:  # A test that fails loses no fit.
             kept.say(f"what the selected model held or left out could not be tested ({error})")
     if known is not None:
         last = dataclasses.replace(last, suspects=known.rows, verdict=known.judge(last))
-    return last, seen
+    return _Final(last, seen, stopped)
 
 
 def _judged(
@@ -644,18 +678,13 @@ def _record(
 
     steps = [row(step, True) for step in climb.steps()]
     tried = [row(fit.step(noise), False) for fit in climb.passed]
-    last = steps[-1]
-    near = [
-        i
-        for i, one in enumerate(tried)
-        if one.values == last.values and one.bic - last.bic < NEARNESS
-    ]
-    models = [last, *(tried[i] for i in near)]
+    near = [i for i, one in enumerate(tried) if behind(steps, one)[0] < NEARNESS]
+    models = [(0.0, steps[-1], steps[-1]), *((*behind(steps, tried[i]), tried[i]) for i in near)]
     parameters = []
-    for path, (value, _) in last.estimates.items():
-        having = [each for each in models if path in each.estimates]
-        weights = np.exp(-np.maximum([each.bic - last.bic for each in having], 0.0) / 2)
-        apart = np.array([each.estimates[path][0] for each in having]) - value
+    for path in steps[-1].estimates:
+        having = [each for each in models if all(path in one.estimates for one in each[1:])]
+        weights = np.exp(-np.maximum([each[0] for each in having], 0.0) / 2)
+        apart = np.array([b.estimates[path][0] - a.estimates[path][0] for _, a, b in having])
         selection = float(np.sqrt(np.sum(weights * apart**2) / np.sum(weights)))
         one = final.parameters[path]
         error = one.standard_error

@@ -1,6 +1,7 @@
 """What an explanation found: its steps and its parameters, as data."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Literal
 
 from ._refit import StudyRecord
@@ -82,7 +83,8 @@ class Explanation(
         outliers: cells that differ from both of their neighbours as no noise does.
         steps: the first is the fit that was begun from.
         tried: fits that were made and not taken.
-        near: places among `tried` of those whose BIC is within `nearness` of the last step.
+        near: places among `tried` of those whose BIC is within `nearness` of that of the last step
+            that was fitted to as many values (`behind`).
         parameters: those that were asked for.
         axes: whether the runs were recorded in other axes; what was fitted lies beside this file.
     """
@@ -112,3 +114,9 @@ class Explanation(
             path = step.change.removeprefix("without ")
             kept = [one for one in kept if one != path] if path != step.change else [*kept, path]
         return tuple(kept)
+
+
+def behind(steps: Sequence[ExplainedStep], tried: ExplainedStep) -> tuple[float, ExplainedStep]:
+    """How much higher the BIC of a fit is than that of the last step of as many values; which."""
+    step = next((one for one in reversed(steps) if one.values == tried.values), steps[-1])
+    return tried.bic - step.bic, step

@@ -129,6 +129,19 @@ def test_the_drag_curve_falls_rises_and_falls_as_it_should():
     assert crisis[0] > 3 * crisis[1]
 
 
+def test_slopes_of_the_drag_curve_are_those_of_its_differences():
+    """From creeping flow to beyond the crisis, and those of the slopes."""
+    reynolds = jnp.geomspace(1e-3, 9.9e6, 300)
+    apart = 1e-5 * reynolds
+    for function in (cylinder_drag_coefficient, jax.vmap(jax.grad(cylinder_drag_coefficient))):
+        differences = (function(reynolds + apart) - function(reynolds - apart)) / (2 * apart)
+        slopes = jax.vmap(jax.grad(lambda x, of=function: of(x[None])[0]))(reynolds)
+        scale = np.abs(function(reynolds) / reynolds)
+        assert_allclose(slopes / scale, differences / scale, rtol=0, atol=1e-6)
+        every = jax.vmap(jax.jacfwd(lambda x, of=function: of(x[None])[0]))(reynolds)
+        assert_allclose(every, slopes, rtol=1e-12)
+
+
 def test_the_drag_curve_has_finite_slopes_everywhere():
     reynolds = jnp.concatenate([jnp.zeros(1), jnp.geomspace(1e-6, 1e12, 100)])
     slopes = jax.jit(jax.vmap(jax.grad(cylinder_drag_coefficient)))(reynolds)
