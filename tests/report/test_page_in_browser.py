@@ -56,4 +56,4 @@ def test_a_shipped_fit_with_every_study(name, browser, tmp_path):
     assert "Optima that the starts reached" in page.text
     shown = load_result(folder).shown
     exact = [json.loads(a["data-exact"]) for _, a in page.tags if "data-exact" in a]
-    assert exact == [estimate["value"] for estimate in shown.values()]
+    assert exact == [estimate.value for estimate in shown.values()]
