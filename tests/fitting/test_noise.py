@@ -9,7 +9,7 @@ import pytest
 from giajax import InputError
 from giajax.fitting import Estimate, Noise, NoiseFit, RunFit, fit
 from giajax.noise import Verdict
-from giajax.recordings import Run
+from giajax.recordings import Definition, Run
 from giajax.report import summary
 from giajax.runtime.records import from_plain
 from toy_model import TRUTH, Decay, height, run
@@ -156,6 +156,12 @@ def test_a_record_of_few_correlation_times_is_a_finding():
     short = recording(white=0.001, time_s=8.0)
     codes = {finding.code for finding in fit(Decay(), short, start=START).findings}
     assert "short_record" in codes
+    words = {"position_m": 0.041, "position_correlated_m": 0.04, "position_correlation_s": 8.0}
+    known = dataclasses.replace(short, definition=Definition.parse({"noise": words}))
+    (found,) = fit(Decay(), known, start=START).runs
+    assert found.channels["tip_z"].correlation_time_s == 8.0
+    codes = {finding.code for finding in fit(Decay(), known, start=START).findings}
+    assert "short_record" not in codes
 
 
 def test_a_trend_over_the_whole_record_makes_no_error_smaller():

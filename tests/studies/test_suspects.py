@@ -208,6 +208,16 @@ def test_several_runs_with_states_of_their_own():
     assert row.estimate == pytest.approx(freed.parameters["late"].value, rel=0.05)
 
 
+def test_a_fit_of_states_alone_is_asked_too():
+    """Nothing is fitted that a suspect could move."""
+    run = recorded(late=0.05, seed=2, offset=0.5, channels=("tip_y", "tip_z"))
+    result = fit(OwnHeights(curve()), run, free=[], check=False, noise_model="white")
+    assert not result.free
+    found = suspects(result, run)
+    assert "late" in [row.path for row in found.significant]
+    assert not any(row.moves for row in found.rows)
+
+
 def test_a_result_carries_its_suspects_as_json():
     recording = recorded(late=0.05)
     asked = with_suspects(fitted(recording), recording)

@@ -348,8 +348,9 @@ def _short(correlation_times: Sequence[tuple[str, float]]) -> Iterator[Finding]:
                 "short_record",
                 (),
                 f"'{name}' is {count:.2g} correlation times of its noise long",
-                f"record at least {_LONG_ENOUGH:g} of them, or state the noise: its correlation "
-                "cannot be estimated from fewer",
+                f"record at least {_LONG_ENOUGH:g} of them, or state its correlated part in "
+                "[noise] (such as position_correlated_m and position_correlation_s): it cannot be "
+                "estimated from fewer",
             )
 
 

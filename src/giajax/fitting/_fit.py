@@ -102,10 +102,11 @@ def _conditions(model: AbstractModel, moved: Sequence[str], setup: Setup) -> tup
 
 
 def _lengths(state: FitState) -> list[tuple[str, float]]:
-    """How many correlation times of its slowest noise each run is long, where any is correlated."""
+    """How many correlation times of its slowest noise each run is long, of what is not stated."""
     lengths = []
     for run, noise in zip(state.setup.runs, state.noise.values, strict=True):
-        longest = max((each.time_s for each in noise.values()), default=0.0)
+        found = (each.time_s for name, each in noise.items() if not run.correlated_noise(name))
+        longest = max(found, default=0.0)
         if longest and run.times is not None:
             lengths.append((run.name, float(np.ptp(run.times)) / longest))
     return lengths

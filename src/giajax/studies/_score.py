@@ -590,7 +590,9 @@ def slopes_of(
         mine = [index for index, place in enumerate(places) if place < 0]
         for index, slope in zip(mine, alone, strict=False):
             by_path[index].append(slope)
-    return np.stack([np.mean(slopes, axis=0) for slopes in by_path])
+    means = [np.mean(slopes, axis=0) for slopes in by_path]
+    # Of a fit of states alone there are none.
+    return np.reshape(means, (len(means), len(columns)))
 
 
 def _explained(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
