@@ -356,13 +356,16 @@ def explain(
     ended = _ended(climb, first)
     if not climb.taken:
         climb.take(Measured.of(result, fitted, apart))
-    if not apart:
-        climb.ending += "; nothing could be held out to judge the steps by"
     judges = len(validation), len(held_out)
-    final = _final(result, climb, whole, kept, judges, ended == "interrupted")
-    if ended == "selected" and final.stopped is not None:
-        # All of the data may ask for more.
-        ended, climb.ending = final.stopped, _STOPPED[final.stopped]
+
+    def finished(ended: Ended) -> tuple[_Final, Ended]:
+        final = _final(result, climb, whole, kept, judges, ended == "interrupted")
+        if ended == "selected" and final.stopped is not None:
+            # All of the data may have asked for more.
+            ended, climb.ending = final.stopped, _STOPPED[final.stopped]
+        return final, ended
+
+    final, ended = finished(ended)
     if ended == "selected" and partly is not result and _asks(final.result):
 
         def further() -> Ended:
@@ -379,12 +382,13 @@ def explain(
         )
         grown = _ended(climb, further)
         if len(climb.taken) > len(before.taken) + 1:
-            ended = grown
-            final = _final(result, climb, whole, kept, judges, ended == "interrupted")
+            final, ended = finished(grown)
         else:  # Nothing made it better.
             if grown != "failed" and grown != "selected":
                 ended, before.ending = grown, climb.ending
             climb = before
+    if not apart:
+        climb.ending += "; nothing could be held out to judge the steps by"
     last = final.result
     record = _record(result, climb, last, ended, outliers)
     if len(record.steps) > 1 or last.loss != result.loss:
