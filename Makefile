@@ -105,7 +105,6 @@ types: $(VENV)/.installed-dev
 bench: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks.bench $(BENCH_ARGS)
 	$(BIN)/python -m benchmarks.options
-	$(BIN)/python -m benchmarks.right_model
 	$(BIN)/python -m benchmarks.hysteresis
 	$(BIN)/python -m benchmarks.commands
 

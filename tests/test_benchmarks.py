@@ -47,7 +47,7 @@ def test_the_benchmark_runs(tmp_path):
         assert each["standard_errors_off"] < 0.01, name
     for what in ("evaluation", "run", "gradient", "batch"):
         assert f"{what}: MuJoCo in C over giajax" in found["ratios"]
-    for heading in ("One evaluation", "from half the drag", "Ratios"):
+    for heading in ("One evaluation", "from half the drag", "full air", "Ratios"):
         assert heading in printed
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
 
@@ -93,7 +93,9 @@ def test_a_ratio_that_is_missing_or_no_number_fails(tmp_path, ratios, said):
 def test_a_ratio_says_how_many_times_as_long_as_giajax_a_peer_takes():
     one = {"giajax": {"min": 2.0}, "CasADi in C": {"min": 1.0}}
     both = {"giajax springs5": {"min": 2.0}, "MuJoCo, drag in C": {"min": 6.0}}
+    arms = {"plain": {}, "memory": {"run": {"ratio": 4.0}, "slopes": {"ratio": 2.0}}}
     found = {"evaluation": one, "batch": one, "fits": one, "run": both, "gradient": both}
+    found |= {"arms": arms}
     program = "import json, sys; from benchmarks.bench._ratios import ratios; "
     program += "print(json.dumps(ratios(json.loads(sys.argv[1]))))"
     command = [sys.executable, "-c", program, json.dumps(found)]
@@ -102,6 +104,8 @@ def test_a_ratio_says_how_many_times_as_long_as_giajax_a_peer_takes():
     ratios = json.loads(ended.stdout)
     assert ratios["evaluation: CasADi over giajax"] == 0.5
     assert ratios["run: MuJoCo in C over giajax"] == 3.0
+    assert ratios["run: the plain arm over memory"] == 0.25
+    assert ratios["gradient: the plain arm over memory"] == 0.5
 
 
 @pytest.mark.quick

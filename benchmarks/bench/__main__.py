@@ -11,6 +11,7 @@ import jax
 from rich.console import Console
 
 import benchmarks.bench
+from benchmarks import right_model
 from benchmarks.bench._batch import ITEMS, batch
 from benchmarks.bench._evaluation import evaluation
 from benchmarks.bench._fit import base_step, fits, small_run
@@ -50,6 +51,8 @@ def measure(quick: bool, console: Console) -> dict[str, Any]:
     with console.status("the whole fit ..."):
         whole = fits(small_run() if quick else base_step(), min(repeats, 3))
         alone = None if quick else processes()
+    with console.status("arms with more physics ..."):
+        arms = right_model.measure(quick)["arms"]
     found = {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "machine": {
@@ -66,6 +69,7 @@ def measure(quick: bool, console: Console) -> dict[str, Any]:
         "evaluations": evaluations,
         "batch": many,
         **both,
+        "arms": arms,
         "fits": whole,
         "processes": alone,
     }  # fmt: skip

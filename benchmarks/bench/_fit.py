@@ -41,9 +41,10 @@ def fits(run: Run, repeats: int) -> dict[str, Any]:
         repeats: how often each is measured.
     """
     model = model_for([run])
-    # No look at the gradient and at the noise: the others do not look at them, either.
+    # No look at the gradient and at the noise, nor at what is always uncertain: the others do not
+    # look at them, either.
     mine: Callable[..., FitResult] = partial(
-        fit, model, run, start=START, check=False, noise_model="white"
+        fit, model, run, start=START, check=False, noise_model="white", nuisances=False
     )
     reference = mine(tolerance=1e-10)
     squares: dict[str, Peer | None] = {MINE: None, **_peers(run, model, reference)}

@@ -2,14 +2,20 @@
 
 from typing import Any
 
+from benchmarks import right_model
 from benchmarks.bench._contenders import MINE
 
 # What is to be held, and at least how large a ratio must be for it.
 LIMITS = {
     "run: MuJoCo in C over giajax": 1 / 0.45,
-    "run: CasADi over giajax": 1 / 2,
-    "gradient: CasADi over giajax": 1.0,
-    "batch: MuJoCo in C over giajax": 1.0,
+    "run: CasADi over giajax": 1.0,
+    "gradient: CasADi over giajax": 1 / 0.4,
+    "batch: MuJoCo in C over giajax": 3.0,
+    **{
+        f"{what}: the plain arm over {name}": 1 / most
+        for name, allowed in right_model.ALLOWED.items()
+        for what, most in zip(("run", "gradient"), allowed, strict=True)
+    },
 }
 
 
@@ -18,7 +24,7 @@ def ratios(found: dict[str, Any]) -> dict[str, float]:
 
     Arguments:
         found: tables of seconds by name: of one `evaluation`, a `run`, its `gradient`, a `batch`
-            and, where they were measured, of `fits`.
+            and, where they were measured, of `fits`; and the `arms` of `benchmarks.right_model`.
 
     Returns:
         Ratios by name; a contender that is absent has none. More is better for giajax.
@@ -46,6 +52,10 @@ def ratios(found: dict[str, Any]) -> dict[str, float]:
     ratios["giajax: five runs over value and Jacobian"] = (
         5 * found["run"][MINE]["min"] / found["gradient"][MINE]["min"]
     )
+    for name, each in found["arms"].items():
+        if name in right_model.ALLOWED:
+            ratios[f"run: the plain arm over {name}"] = 1 / each["run"]["ratio"]
+            ratios[f"gradient: the plain arm over {name}"] = 1 / each["slopes"]["ratio"]
     return ratios
 
 

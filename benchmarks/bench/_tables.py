@@ -5,6 +5,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks import right_model
 from benchmarks.bench._fit import CLOSE
 from benchmarks.bench._ratios import LIMITS, held
 from benchmarks.measuring import spread
@@ -22,6 +23,7 @@ def show(found: dict[str, Any], console: Console) -> None:
     for name, times in found["batch"].items():
         batch.add_row(name, spread(times, 1e6))
     console.print(batch)
+    console.print(right_model.table({**found["problem"], "arms": found["arms"]}))
     console.print(_fits(found["fits"]))
     if found["processes"] is not None:
         console.print(_processes(found["processes"]))
