@@ -50,7 +50,11 @@ def _climbed(most: int) -> Figures:
 
     recording = _recording()
     model = giajax.ArmModel(giajax.takeichi_20m())
-    first = giajax.fit(model, recording, free=list(START), start=START, check=False)
+    # All rows but the last are by white noise.
+    noise = "correlated" if most else "white"
+    first = giajax.fit(
+        model, recording, free=list(START), start=START, check=False, noise_model=noise
+    )
     return _figures(giajax.ladder(first, recording, most=most))
 
 

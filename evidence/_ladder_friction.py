@@ -46,7 +46,11 @@ def _climbed(most: int) -> Figures:
 
     recording = giajax.read_run(ROOT / "data" / "independent" / "friction.csv")
     model = giajax.ArmModel(giajax.takeichi_20m())
-    first = giajax.fit(model, recording, free=list(START), start=START, check=False)
+    # All rows but the last are by white noise.
+    noise = "correlated" if most else "white"
+    first = giajax.fit(
+        model, recording, free=list(START), start=START, check=False, noise_model=noise
+    )
     steps = giajax.ladder(first, recording, most=most)
     found: Any = steps.result
     return {
