@@ -7,6 +7,7 @@ that a link moves with, which nothing in the recording tells, all of it follows.
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,7 @@ START = {
     "joints.yaw_stiffness": 15.0,
     "joints.damping": 0.15,
 }
+RECORDING = ROOT / "data" / "synthetic" / "full_air.csv"
 # Steps, as many as the command takes.
 MOST = 8
 # Relative, of chi-square; and of parameters, in their standard errors: what rounding on another
@@ -43,25 +45,30 @@ def part(size: int, seed: int) -> Figures:
 
 def _climbed(most: int) -> Figures:
     """The rungs of a ladder of so many steps, and what the last one makes of the truth."""
+    return _figures(climbed(RECORDING, START, most))
+
+
+def climbed(path: Path, start: Mapping[str, float], most: int) -> "StepwiseSelection":
+    """A ladder of so many steps on a recording, from a fit of the paper's model."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
     import giajax
 
-    recording = _recording()
+    recording = giajax.read_run(path)
     model = giajax.ArmModel(giajax.takeichi_20m())
     # All rows but the last are by white noise.
     noise = "correlated" if most else "white"
     first = giajax.fit(
-        model, recording, free=list(START), start=START, check=False, noise_model=noise
+        model, recording, free=list(start), start=start, check=False, noise_model=noise
     )
-    return _figures(giajax.ladder(first, recording, most=most))
+    return giajax.ladder(first, recording, most=most)
 
 
 def _recording() -> "Run":
     import giajax
 
-    return giajax.read_run(ROOT / "data" / "synthetic" / "full_air.csv")
+    return giajax.read_run(RECORDING)
 
 
 def _moving_mass(model: Any) -> float:

@@ -7,7 +7,7 @@ ladder starts from is that model's, and no step is told what comes next.
 
 from typing import Any
 
-from ._ladder import cell, disagreements, rung_of
+from ._ladder import cell, climbed, disagreements, rung_of
 from ._record import ROOT
 from ._study import Figures, Study
 
@@ -39,19 +39,7 @@ def part(size: int, seed: int) -> Figures:
 
 
 def _climbed(most: int) -> Figures:
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    import giajax
-
-    recording = giajax.read_run(ROOT / "data" / "independent" / "friction.csv")
-    model = giajax.ArmModel(giajax.takeichi_20m())
-    # All rows but the last are by white noise.
-    noise = "correlated" if most else "white"
-    first = giajax.fit(
-        model, recording, free=list(START), start=START, check=False, noise_model=noise
-    )
-    steps = giajax.ladder(first, recording, most=most)
+    steps = climbed(ROOT / "data" / "independent" / "friction.csv", START, most)
     found: Any = steps.result
     return {
         "rungs": [rung_of(rung) for rung in steps.steps],

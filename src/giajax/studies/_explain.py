@@ -61,7 +61,7 @@ from ._stepwise import (
     is_one,
     side_by_side,
 )
-from ._suspects import LEVEL, Suspects, outlying
+from ._suspects import Suspects, outlying, significant
 from ._systematic import with_suspects
 
 NEARNESS = 6.0
@@ -172,12 +172,10 @@ class Kept(AbstractFits):
         # What is not there by then goes on in the fits that follow.
         ended, stopped = side_by_side(result, missing, self.budget, max_iterations=_ITERATIONS)
         for change, fitted in zip(missing, ended, strict=False):
-            kept = self._kept(fitted)
-            line = (
-                {"refused": str(kept[0])} if isinstance(kept[0], InputError) else {"fit": kept[1]}
-            )
+            kept, file = self._kept(fitted)
+            line = {"refused": str(kept)} if isinstance(kept, InputError) else {"fit": file}
             self._keep({"name": change.name, **line})
-            found.append(kept[0])
+            found.append(kept)
         if stopped:
             raise KeyboardInterrupt
         if len(ended) < len(missing):
@@ -384,7 +382,7 @@ def explain(
         if len(climb.taken) > len(before.taken) + 1:
             final, ended = finished(grown)
         else:  # Nothing made it better.
-            if grown != "failed" and grown != "selected":
+            if grown in (*_STOPPED, "steps"):
                 ended, before.ending = grown, climb.ending
             climb = before
     if not apart:
@@ -424,7 +422,7 @@ _STOPPED: dict[Ended, str] = {
 def _asks(final: FitResult) -> bool:
     """Whether the final fit is not adequate for something that could be fitted."""
     return final.verdict.status != "adequate" and any(
-        (row.p_value or 0.0) < LEVEL and is_one(final.model, row) for row in final.suspects
+        is_one(final.model, row) for row in significant(final.suspects)
     )
 
 
@@ -581,10 +579,7 @@ def _final(
                     progress=stop_if_asked,
                     check=True,
                 )
-                if again.reason == "interrupted":
-                    stopped = "interrupted"
-                elif again.reason == "budget":
-                    stopped = "budget"
+                stopped = next((one for one in _STOPPED if one == again.reason), None)
             except InputError:  # It cannot be evaluated a little inside of its bounds.
                 pass
             except KeyboardInterrupt:

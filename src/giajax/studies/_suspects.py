@@ -70,6 +70,11 @@ def promising(rows: Sequence[Suspect]) -> tuple[Suspect, ...]:
     return tuple(best.values())
 
 
+def significant(rows: Sequence[Suspect]) -> tuple[Suspect, ...]:
+    """Of the rows of a table the promising ones that chance does not explain."""
+    return tuple(row for row in promising(rows) if (row.p_value or 0.0) < LEVEL)
+
+
 @dataclasses.dataclass(frozen=True)
 class Suspects:
     """What would lower chi-square, the most first.
@@ -100,7 +105,7 @@ class Suspects:
     @property
     def significant(self) -> tuple[Suspect, ...]:
         """Those of the promising ones that chance does not explain."""
-        return tuple(row for row in self.promising if (row.p_value or 0.0) < LEVEL)
+        return significant(self.rows)
 
     @property
     def untestable(self) -> tuple[Suspect, ...]:
