@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from giajax import InputError
+from giajax.runtime.process import is_stopped
 
 
 def double(number):
@@ -40,6 +41,12 @@ def dies_at(number, bad, folder):
     if number == bad:
         os._exit(9)
     notes(number, folder)
+    return number
+
+
+def waits_for_a_stop(number):
+    while number and not is_stopped():
+        time.sleep(0.01)
     return number
 
 

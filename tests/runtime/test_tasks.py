@@ -12,7 +12,8 @@ import pytest
 import small_jobs
 
 from giajax import InputError
-from giajax.runtime.execution import InProcess, prepared, run_tasks
+from giajax.runtime.execution import InProcess, Threads, prepared, run_tasks
+from giajax.runtime.process import is_stopped
 from giajax.runtime.tasks import Task, read_outcome
 
 pytestmark = pytest.mark.quick
@@ -222,6 +223,20 @@ def test_ctrl_c_keeps_what_is_done(tmp_path):
     outcomes = run_tasks(tasks, folder=tmp_path)
     assert [outcome.status for outcome in outcomes] == ["done", "stopped", "stopped"]
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_stop_reaches_the_threads(monkeypatch):
+    """Each looks for it now and then, as the chains of a posterior do."""
+    monkeypatch.setenv("GIAJAX_CORES", "3")
+
+    def interrupt(outcome, done, total):
+        raise KeyboardInterrupt
+
+    tasks = tasks_of(small_jobs.waits_for_a_stop, [1, 0, 2])
+    with Threads(3) as threads:
+        outcomes = run_tasks(tasks, executor=threads, progress=interrupt)
+    assert [outcome.status for outcome in outcomes] == ["stopped", "done", "stopped"]
+    assert not is_stopped()
 
 
 def test_a_worker_keeps_what_it_prepared():

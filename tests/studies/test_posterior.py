@@ -3,6 +3,7 @@
 import dataclasses
 import importlib.util
 import sys
+import threading
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -180,7 +181,8 @@ def test_another_sampler_finds_the_same_posterior_at_a_bound(bent, cut):
     assert (decay.interval[1] - decay.mean) > 1.4 * (decay.mean - decay.interval[0])
 
 
-def test_after_a_stop_it_goes_on(line, tmp_path):
+def test_after_a_stop_it_goes_on(line, tmp_path, monkeypatch):
+    monkeypatch.setenv("GIAJAX_CORES", "1")  # one chain after the other
     done, draws = [], 200
 
     def stop(transitions, total):
@@ -208,6 +210,25 @@ def test_after_a_stop_it_goes_on(line, tmp_path):
 
 def stop_at_once(transitions, total):
     raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("cores", ["1", "3"])
+def test_chains_are_shared_out_among_cores(line, drawn, monkeypatch, cores):
+    """Which changes nothing in what is drawn, and says how far all of them are."""
+    monkeypatch.setenv("GIAJAX_CORES", cores)
+    said, together = [], set()
+
+    def heard(transitions, total):
+        said.append((transitions, total))
+        together.add(threading.get_ident())
+
+    again = posterior(*line, chains=3, draws=DRAWS, warmup=100, progress=heard)
+    np.testing.assert_array_equal(again.samples, drawn.samples)
+    whole = 3 * (DRAWS + 100)
+    assert said[-1] == (whole, whole)
+    assert said == sorted(said)
+    # Those that draw, and the one that hears that they are done.
+    assert len(together) == 1 + int(cores)
 
 
 def test_arviz_reads_the_draws_back(line, drawn, tmp_path):

@@ -132,8 +132,8 @@ and with more --chains keeps those that are there. Needs pip install 'giajax[pos
 def posterior(
     given: OnResult,
     chains: Annotated[int, "N", "Chains.", 1] = 4,
-    draws: Annotated[int, "N", "Draws of each chain.", 8] = 1000,
-    warmup: Annotated[int, "N", "Transitions before them, to adapt.", 0] = 500,
+    draws: Annotated[int, "N", "Draws of each chain.", 8] = 500,
+    warmup: Annotated[int, "N", "Transitions before them, to adapt.", 0] = 200,
     seed: Annotated[int, "N", "Of the random numbers.", 0] = 0,
 ) -> None:
     """Draw from the posterior of the parameters of a fit.

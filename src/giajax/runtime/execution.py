@@ -1,6 +1,7 @@
 """Many tasks on many workers: this process, processes of this machine, or a cluster; resumable."""
 
 import contextlib
+import contextvars
 import functools
 import multiprocessing
 import os
@@ -17,6 +18,7 @@ from concurrent.futures import (
     Executor,
     Future,
     ProcessPoolExecutor,
+    ThreadPoolExecutor,
     wait,
 )
 from multiprocessing.connection import Connection
@@ -25,7 +27,17 @@ from typing import Any, Literal, TypedDict, TypeVar
 
 from .files import check_path, written_to
 from .plugins import load_plugin, plugins
-from .process import CORES_VARIABLE, HANGUP, configure, is_own_process, is_stopped, own_process
+from .process import (
+    CORES_VARIABLE,
+    HANGUP,
+    carried,
+    configure,
+    cores,
+    is_own_process,
+    is_stopped,
+    own_process,
+    stop_of_thread,
+)
 from .records import plain_data
 from .tasks import Outcome, Task, read_outcome, write_outcome
 from .text import InputError, abridged, error_in_words
@@ -165,6 +177,34 @@ class InProcess(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
+
+
+class Threads(Executor):
+    """Threads of this process, one for each core: for tasks that compute in one program on one core.
+
+    They share the compiled programs, and see the context of the thread that submits.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.workers = min(most, cores())
+        self._stop = threading.Event()
+        self._pool = ThreadPoolExecutor(self.workers, "giajax")
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Have a thread call a function."""
+        context = contextvars.copy_context()
+        context.run(stop_of_thread.set, self._stop)
+        call = carried(function, self.workers)
+        return self._pool.submit(context.run, call, *args, **kwargs)
+
+    def stop(self) -> None:
+        """Tell the tasks to stop, and wait until they have."""
+        self._stop.set()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the threads when they have done what was submitted."""
+        self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
 
 
 class Processes(Executor):
@@ -362,7 +402,7 @@ class _Study:
         self.ahead = _AHEAD
         if isinstance(executor, InProcess):
             self.ahead = 1
-        elif isinstance(executor, Processes):
+        elif isinstance(executor, Processes | Threads):
             self.ahead = 2 * executor.workers
 
     def run(self) -> None:
@@ -423,7 +463,7 @@ class _Study:
         """Begin nothing more, and keep what was done meanwhile."""
         for future in self.running:
             future.cancel()
-        if isinstance(self.executor, Processes):
+        if isinstance(self.executor, Processes | Threads):
             self.executor.stop()
         for future, key in self.running.items():
             if future.done() and not future.cancelled() and future.exception() is None:

@@ -51,9 +51,19 @@ def listen() -> None:
     threading.Thread(target=_end_at_the_second, args=(reader,), daemon=True).start()
 
 
+# Of a thread whose caller can be stopped while it computes.
+stop_of_thread: contextvars.ContextVar[threading.Event | None] = contextvars.ContextVar(
+    "stop_of_thread", default=None
+)
+
+
 def is_stopped() -> bool:
-    """Whether a signal has come; what it raised may have been lost in a foreign library."""
-    return _first is not None
+    """Whether a signal has come, or the caller of this thread was stopped.
+
+    What the signal raised may have been lost in a foreign library.
+    """
+    stop = stop_of_thread.get()
+    return _first is not None or (stop is not None and stop.is_set())
 
 
 def stop_if_asked(_: Any = None) -> None:

@@ -4,6 +4,7 @@ import contextlib
 import contextvars
 import dataclasses
 import importlib.util
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from ..fitting import Density, FitResult, density_of, energy_at
 from ..recordings import Run, unique_names
 from ..runtime.arrays import on_device
-from ..runtime.execution import run_tasks
+from ..runtime.execution import InProcess, Threads, run_tasks
 from ..runtime.process import is_stopped
 from ..runtime.programs import program
 from ..runtime.tasks import Outcome, Task
@@ -30,6 +31,8 @@ _AT_ONCE = 20
 # Transitions of the warm-up below which the matrix of the optimum stays: Stan's windows, and some
 # draws for each parameter, are needed to estimate a better one.
 _LEAST_TO_ADAPT, _EACH = 150, 10
+
+_compiling = threading.Lock()
 
 # Called with the transitions that chains of this process do, after each few.
 _listener: contextvars.ContextVar[Callable[[int], None] | None] = contextvars.ContextVar(
@@ -68,12 +71,16 @@ def chain(begun: Begun, number: int, draws: int, warmup: int, seed: int) -> dict
     start, energy, gradient = (
         on_device(each, dtype) for each in (begun.start, begun.energy, begun.gradient)
     )
-    with _mixing_types():
-        state = _begin(density, start, energy, gradient, jax.random.key(seed), settings)
     parts = []
-    for _ in range(total // length):
-        with _mixing_types():
-            state, found = _move(density, state, settings, length)
+    # Chains that begin together need the same programs, and each would compile them.
+    with _compiling, _mixing_types():
+        state = _begin(density, start, energy, gradient, jax.random.key(seed), settings)
+        state, found = _move(density, state, settings, length)
+        jax.block_until_ready(found)
+    for at in range(total // length):
+        if at:
+            with _mixing_types():
+                state, found = _move(density, state, settings, length)
         # Waits for the numbers; until then Ctrl-C would wait for all calls.
         parts.append([np.asarray(each) for each in found])
         if is_stopped():
@@ -151,8 +158,8 @@ def posterior(
     runs: Run | Sequence[Run],
     *,
     chains: int = 4,
-    draws: int = 1000,
-    warmup: int = 500,
+    draws: int = 500,
+    warmup: int = 200,
     seed: int = 0,
     executor: Executor | None = None,
     folder: str | Path | None = None,
@@ -172,7 +179,8 @@ def posterior(
         draws: of each chain that are kept.
         warmup: transitions before them, which adapt the sampler.
         seed: of the random numbers.
-        executor, folder: as of `giajax.runtime.execution.Execution`.
+        executor, folder: as of `giajax.runtime.execution.Execution`; without an executor the
+            chains are shared out among the cores of this process.
         progress: called with the transitions that are done, and how many there will be.
 
     Raises:
@@ -206,7 +214,10 @@ def posterior(
     counted = _Progress(progress, chains, draws + warmup)
     token = _listener.set(counted.moved)
     try:
-        outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=counted.done)
+        with contextlib.ExitStack() as stack:
+            if executor is None or isinstance(executor, InProcess):
+                executor = stack.enter_context(Threads(chains))
+            outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=counted.done)
     finally:
         _listener.reset(token)
     found = [outcome.value for outcome in outcomes if outcome.status == "done"]
@@ -261,16 +272,23 @@ class _Progress:
 
     def __init__(self, progress: Callable[[int, int], None] | None, chains: int, each: int) -> None:
         self._progress, self._each, self._total = progress, each, chains * each
-        self._reached = 0
+        self._done = self._running = 0
+        self._lock = threading.Lock()
 
     def moved(self, transitions: int) -> None:
-        self._reached += transitions
-        if self._progress is not None:
-            self._progress(self._reached, self._total)
+        with self._lock:
+            self._running += transitions
+            self._tell()
 
     def done(self, outcome: Outcome, done: int, total: int) -> None:
-        self._reached = done * self._each
-        self.moved(0)
+        with self._lock:
+            self._done = done * self._each
+            self._running = max(0, self._running - self._each)  # none of another process
+            self._tell()
+
+    def _tell(self) -> None:
+        if self._progress is not None:
+            self._progress(self._done + self._running, self._total)
 
 
 def _begun(density: Density, fitted: Fitted, number: int, seed: int) -> Begun:
