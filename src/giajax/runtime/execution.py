@@ -180,7 +180,7 @@ class InProcess(Executor):
 
 
 class Threads(Executor):
-    """Threads of this process, one for each core: for tasks that compute in one program on one core.
+    """Threads of this process, as many as cores: for tasks that compute in one program on one.
 
     They share the compiled programs, and see the context of the thread that submits.
     """
