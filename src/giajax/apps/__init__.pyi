@@ -8,6 +8,7 @@ from . import (
     mission as mission,
     mjcf as mjcf,
     paper as paper,
+    shaping as shaping,
     synthetic as synthetic,
     viewer as viewer,
     wind as wind,

@@ -25,6 +25,7 @@ from ._signal import (
     Signal as Signal,
     check_muscles as check_muscles,
     constant as constant,
+    followed as followed,
     lagged as lagged,
     last_before as last_before,
     logged as logged,

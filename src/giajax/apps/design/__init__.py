@@ -12,6 +12,7 @@ from ._question import (
     covariance_of as covariance_of,
     draws as draws,
     joint_count as joint_count,
+    known_before as known_before,
     question_of as question_of,
 )
 from ._report import (

@@ -1,0 +1,753 @@
+"""Input shaping: commands after which an arm does not swing.
+
+A command is convolved with a few impulses, so that each of them cancels what the ones before have
+set swinging. The impulses follow from period and damping of a mode at the pose where the command
+ends. The air damps a long and light arm, and it does so by the square of the velocity: the damping
+that counts is that of a swing as large as the command excites, by harmonic balance. As a swing and
+its damping change while the arm moves, period and damping of the slowest mode are then searched for
+near these numbers, with simulations of the arm.
+
+- ZV, ZVD: Singer and Seering, Preshaping command inputs to reduce system vibration, J. Dyn. Syst.
+  Meas. Control 112 (1990) 76. No swing is left where period and damping are right; ZVD leaves less
+  where they are not.
+- EI: Singhose, Seering and Singer, Residual vibration reduction using vector diagrams to generate
+  shaped inputs, J. Mech. Design 116 (1994) 654. A small swing is accepted where they are right, for
+  less where they are not.
+"""
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.optimize import root
+
+from ..fitting import FitResult
+from ..mechanics.arm import Arm, acceleration, mass_matrix, tip_position
+from ..models import ArmModel
+from ..report import BLUE, GREEN, GREY, VERMILLION, new_figure, plain
+from ..runtime.arrays import Array, Float
+from ..runtime.parallel import Batch, run_on_all_cores
+from ..runtime.programs import program
+from ..runtime.text import InputError
+from ..schema.parameters import declared, elements, replace
+from ..simulation import Signal, followed, simulate
+from .design import draws, known_before
+
+
+class Impulses(NamedTuple):
+    """What a command is convolved with.
+
+    Attributes:
+        times: of the impulses, s, increasing from 0, shape (impulse,).
+        sizes: of each, which add up to 1, shape (impulse,).
+    """
+
+    times: Float[np.ndarray, " impulse"]
+    sizes: Float[np.ndarray, " impulse"]
+
+    def after(self, other: "Impulses") -> "Impulses":
+        """Both, one after the other."""
+        times = (self.times[:, None] + other.times).ravel()
+        together, place = np.unique(times.round(_DIGITS), return_inverse=True)
+        sizes = (self.sizes[:, None] * other.sizes).ravel()
+        return Impulses(together, np.bincount(place.ravel(), sizes))
+
+    def left(self, period: float, damping: float) -> float:
+        """Swing that is left of a mode, as a share of that which one impulse leaves."""
+        rate = _eigenvalue(period, damping)
+        return float(abs(np.sum(self.sizes * np.exp(rate * (self.times[-1] - self.times)))))
+
+
+_DIGITS = 9  # of times, s
+NONE = Impulses(np.zeros(1), np.ones(1))
+
+
+def _eigenvalue(period: float, damping: float) -> complex:
+    """Of a mode, 1/s; `period` is that without damping, s."""
+    frequency = 2 * np.pi / period
+    return complex(-damping * frequency, frequency * np.sqrt(1 - damping**2))
+
+
+def zero_vibration(period: float, damping: float) -> Impulses:
+    """ZV: two impulses, half a swing apart.
+
+    Arguments:
+        period: of the mode without damping, s.
+        damping: over critical damping, below 1.
+
+    Example:
+        >>> from giajax.apps.shaping import zero_vibration
+        >>> impulses = zero_vibration(80.0, 0.1)
+        >>> impulses.times.round(2).tolist(), impulses.sizes.round(3).tolist()
+        ([0.0, 40.2], [0.578, 0.422])
+    """
+    rate = _eigenvalue(period, damping)
+    half = np.pi / rate.imag
+    left = np.exp(rate.real * half)
+    return Impulses(np.array([0, half]), np.array([1, left]) / (1 + left))
+
+
+def zero_vibration_and_derivative(period: float, damping: float) -> Impulses:
+    """ZVD: the swing that is left and its derivative by the period are 0; as `zero_vibration`."""
+    once = zero_vibration(period, damping)
+    return once.after(once)
+
+
+INSENSITIVITY = 0.05
+"""Share of the swing that EI leaves where period and damping are right."""
+
+_MOST_DAMPED = 0.8  # beyond, the later impulses are next to nothing
+_MOST_DAMPED_EI = 0.55  # beyond, no three impulses do it
+
+
+def extra_insensitive(period: float, damping: float) -> Impulses:
+    """EI: as `zero_vibration`, with 5 % of the swing left there, and none to both sides of it.
+
+    Raises:
+        InputError: a damping above 0.55, where no such impulses exist.
+    """
+    if not damping <= _MOST_DAMPED_EI:
+        raise InputError(f"EI exists for a damping up to {_MOST_DAMPED_EI}, and it is {damping:g}")
+    shape = _extra_insensitive(round(damping, 6))
+    return Impulses(shape.times * period, shape.sizes)
+
+
+@functools.lru_cache(maxsize=256)
+def _extra_insensitive(damping: float) -> Impulses:
+    """The impulses of a mode whose period is 1, followed from those without damping."""
+    kept = INSENSITIVITY
+    width = np.arccos((1 - kept) / (1 + kept)) / np.pi
+    found = np.array([(1 + kept) / 4, (1 + kept) / 4, 0.5, 1 - width, 1 + width])
+    for each in np.linspace(0, damping, 1 + int(np.ceil(damping / 0.05))):
+
+        def impulses(numbers: np.ndarray, each: float = each) -> Impulses:
+            first, last, middle = numbers[:3]
+            whole = 1 / np.sqrt(1 - each**2)
+            sizes = np.array([first, 1 - first - last, last])
+            return Impulses(np.array([0, middle, 1]) * whole, sizes)
+
+        def off(numbers: np.ndarray, each: float = each) -> list[float]:
+            """What must be 0: the swing of a slower and of a faster mode, and the one accepted."""
+            shape = impulses(numbers)
+            swings = []
+            for faster in numbers[3:]:
+                rate = _eigenvalue(1 / faster, each)
+                swings.append(np.sum(shape.sizes * np.exp(-rate * shape.times)))
+            here = shape.left(1.0, each) - kept
+            return [part for one in swings for part in (one.real, one.imag)] + [here]
+
+        solved = root(off, found)
+        if not solved.success:
+            raise InputError(f"no EI impulses are found for a damping of {damping:g}")
+        found = solved.x
+    return impulses(found)
+
+
+class Shaper(NamedTuple):
+    """A way to find impulses.
+
+    Attributes:
+        impulses: of a period (s) and a damping.
+        robust: whether it is made to leave little where these are not right.
+        most_damped: the largest damping.
+    """
+
+    impulses: Callable[[float, float], Impulses]
+    robust: bool
+    most_damped: float
+
+    def allowed(self, damping: float) -> float:
+        """The nearest damping for which it has impulses."""
+        return float(np.clip(damping, 0.0, self.most_damped))
+
+
+SHAPERS = {
+    "ZV": Shaper(zero_vibration, False, _MOST_DAMPED),
+    "ZVD": Shaper(zero_vibration_and_derivative, True, _MOST_DAMPED),
+    "EI": Shaper(extra_insensitive, True, _MOST_DAMPED_EI),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Command:
+    """Commanded angles over time, from 0 s on; straight between the rows, or held.
+
+    Attributes:
+        times: of the rows, increasing, s, shape (row,).
+        angles: rad, shape (row, joint).
+        held: whether each row is held until the next.
+    """
+
+    times: Float[np.ndarray, " row"]
+    angles: Float[np.ndarray, "row joint"]
+    held: bool = False
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """Angles at times, rad; the first and the last ones are held outside."""
+        if self.held:
+            rows = np.searchsorted(self.times, times + 10.0**-_DIGITS, side="right") - 1
+            return np.asarray(self.angles[np.maximum(rows, 0)])
+        return np.stack([np.interp(times, self.times, row) for row in self.angles.T], axis=1)
+
+    def shaped(self, impulses: Impulses) -> "Command":
+        """Convolved with impulses."""
+        times = np.unique((self.times[:, None] + impulses.times).ravel().round(_DIGITS))
+        parts = zip(*impulses, strict=True)
+        return Command(times, sum(size * self.at(times - late) for late, size in parts), self.held)
+
+    def signal(self, rows: int) -> Signal:
+        """As simulations follow it, with so many rows: programs depend on their number."""
+        slopes = np.zeros_like(self.angles)
+        if not self.held:
+            slopes[:-1] = np.diff(self.angles, axis=0) / np.diff(self.times)[:, None]
+        more = rows - len(self.times)
+        last = self.times[-1] + np.arange(1, more + 1)
+        parts = (
+            np.concatenate([self.times, last]),
+            np.concatenate([self.angles, np.repeat(self.angles[-1:], more, axis=0)]),
+            np.concatenate([slopes, np.zeros((more, self.angles.shape[1]))]),
+            np.concatenate([np.full(len(self.times), np.inf), np.zeros(more)]),
+        )
+        return Signal(*(jnp.asarray(part, dtype=jnp.result_type(float)) for part in parts))
+
+
+@dataclasses.dataclass(frozen=True)
+class Mode:
+    """A mode of an arm about the pose where a command ends.
+
+    Attributes:
+        period: without damping, s.
+        damping: of a swing half as large as the command excites, over critical damping.
+        swing: at the tip after the command as it is, were there no air, m.
+        shape: angles of the joints, of unit kinetic energy at unit rate, shape (joint,).
+    """
+
+    period: float
+    damping: float
+    swing: float
+    shape: Float[np.ndarray, " joint"]
+
+
+class _About(NamedTuple):
+    """An arm about a pose in which it rests."""
+
+    angles: Array
+    off: Array
+    by_angles: Array
+    by_command: Array
+    mass: Array
+    tip: Array
+    moves: Array
+
+
+_NEWTON = 20
+
+
+def _resting(arm: Arm, command: Array) -> tuple[Array, Array]:
+    """Angles at which an arm rests (rad), and how far off they may be."""
+    still = jnp.zeros_like(command)
+
+    def better(_: Any, carried: tuple[Array, Array]) -> tuple[Array, Array]:
+        angles, _ = carried
+        slope = jax.jacfwd(lambda q: acceleration(arm, q, still, command))(angles)
+        step = jnp.linalg.solve(slope, acceleration(arm, angles, still, command))
+        return angles - step, jnp.max(jnp.abs(step))
+
+    begun = (command, jnp.asarray(jnp.inf, command.dtype))
+    return jax.lax.fori_loop(0, _NEWTON, better, begun)
+
+
+@program
+def _about(arm: Arm, commanded: Array) -> _About:
+    command = followed(_constant(commanded), arm.joints)(jnp.asarray(0.0, commanded.dtype))
+    angles, off = _resting(arm, command)
+    still = jnp.zeros_like(angles)
+    by_angles, by_command = jax.jacfwd(lambda q, u: acceleration(arm, q, still, u), argnums=(0, 1))(
+        angles, command
+    )
+    moves = jax.jacfwd(lambda q: tip_position(arm, q))(angles)
+    tip, mass = tip_position(arm, angles), mass_matrix(arm, angles)
+    return _About(angles, off, by_angles, by_command, mass, tip, moves)
+
+
+def _constant(value: Array) -> Signal:
+    still, zero = jnp.zeros_like(value)[None], jnp.zeros(1, value.dtype)
+    return Signal(zero, value[None], still, zero)
+
+
+@program
+def _dissipated(arm: Arm, moved: tuple[Array, Array], command: Array, mass: Array) -> Array:
+    """Power that moving costs an arm at rows of angles and rates, W."""
+
+    def at(angles: Array, rates: Array) -> Array:
+        pulled = acceleration(arm, angles, rates, command)
+        return -rates @ mass @ (pulled - acceleration(arm, angles, jnp.zeros_like(rates), command))
+
+    return jax.vmap(at)(*moved)
+
+
+_WRONG = 0.25  # share by which a stiffness may be wrong
+_PHASES = (np.arange(64) + 0.5) * 2 * np.pi / 64
+
+
+def modes_after(arm: Arm, command: Command) -> tuple[list[Mode], np.ndarray]:
+    """The modes of an arm where a command ends, those that it excites most first, and its tip (m).
+
+    Raises:
+        InputError: the arm has no stable rest there.
+    """
+    last = jnp.asarray(command.angles[-1], dtype=jnp.result_type(float))
+    parts: Any = map(np.asarray, _about(arm, last))
+    about = _About(*parts)
+    if not (np.all(np.isfinite(about.angles)) and about.off < 1e-6):
+        raise InputError("no rest of the arm is found where the command ends: end it elsewhere")
+    stiffness = -about.mass @ about.by_angles
+    root_of_mass = np.linalg.cholesky(about.mass)
+    half = np.linalg.solve(root_of_mass, (stiffness + stiffness.T) / 2)
+    squares, turned = np.linalg.eigh(np.linalg.solve(root_of_mass, half.T))
+    if squares[0] <= 0:
+        raise InputError(
+            "the arm is not stable where the command ends: end it elsewhere, or correct stiffness "
+            "and gravity"
+        )
+    frequencies = np.sqrt(squares)
+    shapes = np.linalg.solve(root_of_mass.T, turned)
+    # Of the pose at rest by the command, in each mode.
+    static = -shapes.T @ about.mass @ np.linalg.solve(about.by_angles, about.by_command)
+    reach = np.linalg.norm(about.moves @ shapes, axis=0)
+    found = []
+    for frequency, shape, gain, far in zip(frequencies, shapes.T, static, reach, strict=True):
+        size = _excited(command, gain, frequency)
+        damping = _damping(arm, about, last, frequency, shape, max(size / 2, 1e-3 / far))
+        found.append(Mode(float(2 * np.pi / frequency), damping, float(size * far), shape))
+    return sorted(found, key=lambda mode: -mode.swing), about.tip
+
+
+def _excited(command: Command, gain: np.ndarray, frequency: float) -> float:
+    """Size of a mode, which is not damped, after a command: the largest of near frequencies.
+
+    A command as long as a whole number of swings leaves none of just that mode.
+    """
+    driven = command.angles @ gain
+    sizes = []
+    for near in frequency * np.linspace(1 - _WRONG, 1 + _WRONG, 11):
+        late = np.exp(-1j * near * command.times)
+        if command.held:
+            sizes.append(abs(np.sum(np.diff(driven) * late[1:])))
+        else:
+            slopes = np.diff(driven) / np.diff(command.times)
+            sizes.append(abs(np.sum(slopes * np.diff(late))) / near)
+    return float(max(sizes))
+
+
+def _damping(
+    arm: Arm, about: Any, command: Array, frequency: float, shape: np.ndarray, size: float
+) -> float:
+    """Of a mode that swings with a size, over critical: by the energy lost in one swing."""
+    angles = about.angles + size * np.sin(_PHASES)[:, None] * shape
+    rates = size * frequency * np.cos(_PHASES)[:, None] * shape
+    moved = jnp.asarray(angles), jnp.asarray(rates)
+    power = np.asarray(_dissipated(arm, moved, command, jnp.asarray(about.mass)))
+    return float(np.mean(power) / (frequency * (size * frequency) ** 2))
+
+
+class _Case(NamedTuple):
+    """What is simulated: an arm, its command, samples (s), the first ones until it ends, and the
+    tolerance.
+    """
+
+    arm: Arm
+    command: Signal
+    times: Array
+    tolerance: Array
+
+
+_UNTIL, _AFTER = 150, 360  # samples of a run until the command ends, and after it
+_TUNING, _FINAL = 1e-4, 1e-5  # tolerances: of a millimetre, and of a tenth of that
+
+
+@program
+def _moved(cases: _Case) -> tuple[Array, Array]:
+    """Distance of the tip from where it comes to rest, m, and whether it was simulated."""
+    return jax.lax.map(_moved_one, cases)
+
+
+def _moved_one(case: _Case) -> tuple[Array, Array]:
+    exact: Any = {"rtol": case.tolerance, "atol": case.tolerance}
+    motion = simulate(case.arm, case.command, case.times, throw=False, **exact)
+    tips = jax.vmap(functools.partial(tip_position, case.arm))(motion.angles)
+    last = followed(case.command, case.arm.joints)(case.times[-1])
+    angles, off = _resting(case.arm, last)
+    # What remembers comes to rest elsewhere: about there it swings in the end.
+    known = (off < 1e-6) & (case.arm.further_laws.rows == 0)
+    rest = jnp.where(
+        known, tip_position(case.arm, angles), jnp.mean(tips[-(_AFTER // 3) :], axis=0)
+    )
+    return jnp.linalg.norm(tips - rest[None], axis=1), motion.successful
+
+
+@dataclasses.dataclass(frozen=True)
+class Shaped:
+    """A command as a shaper leaves it, and what it leaves of the swing.
+
+    Attributes:
+        name: of the shaper; "unshaped" of the command as it was.
+        command: angles over time.
+        impulses: what the command was convolved with.
+        longer: by how much it lasts longer, s.
+        tuned: period (s) and damping of the slowest mode for which it was made; None of none.
+        settled: when the tip has come to stay within 2 % of the travel from its rest, s; None where
+            that is not within three swings after the command.
+        residual: largest distance of the tip from where it comes to rest, after the command, m.
+        soft, stiff: the same with a stiffness a quarter lower and higher, m.
+        drawn: the same for each draw of what the fit leaves open, m; empty without one.
+        times: s, shape (sample,).
+        distance: of the tip from where it comes to rest, m, shape (sample,).
+        distances: with each draw, shape (draw, sample).
+    """
+
+    name: str
+    command: Command
+    impulses: Impulses
+    longer: float
+    tuned: tuple[float, float] | None
+    settled: float | None
+    residual: float
+    soft: float
+    stiff: float
+    drawn: Float[np.ndarray, " draw"]
+    times: Float[np.ndarray, " sample"]
+    distance: Float[np.ndarray, " sample"]
+    distances: Float[np.ndarray, "draw sample"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Shaping:
+    """A command unshaped and shaped; made by `shape_command`.
+
+    Attributes:
+        rows: the command as it was, then each shaper.
+        modes: that were shaped for, the one that the command excites most first.
+        travel: distance of the tip from begin to end, at rest, m.
+        notes: sentences on what a reader should know.
+    """
+
+    rows: tuple[Shaped, ...]
+    modes: tuple[Mode, ...]
+    travel: float
+    notes: tuple[str, ...] = ()
+
+
+_NEAR = 0.02  # of the travel: there the arm is taken to rest
+_WORTH = 0.01  # of the travel: a mode that swings less is let alone
+_MOST_MODES = 3
+_LET = 0.4  # weight of what is left then: 5 % where it is 2 % without an error
+# Periods over that of the mode and dampings that are tried first (what creeps takes longer than any
+# swing), then how far around the best, of the period and of the damping.
+_PERIODS, _DAMPINGS = (1.0, 1.4), (0.0, 0.1, 0.25, 0.4, 0.6, 0.8)
+_CLOSER = ((0.12, 0.08), (0.05, 0.04))
+
+
+def shape_command(
+    model: ArmModel | FitResult,
+    command: Command,
+    *,
+    shapers: Sequence[str] = tuple(SHAPERS),
+    tuned: bool = True,
+    draw_count: int = 20,
+    progress: Callable[[str], None] | None = None,
+) -> Shaping:
+    """Shape a command so that the arm does not swing after it, in still air.
+
+    Arguments:
+        model: the arm, or a fit of it, whose uncertainty is then drawn from.
+        command: of all joints of the arm.
+        shapers: of `SHAPERS`.
+        tuned: whether period and damping of the slowest mode are searched for with simulations.
+        draw_count: how many draws of what the fit leaves open.
+        progress: called with a line now and then.
+
+    Raises:
+        InputError: a command that does not move the arm or has other joints, a shaper that is none,
+            or an arm that has no stable rest where the command ends.
+
+    Example:
+        >>> import giajax, numpy as np
+        >>> from giajax.apps.shaping import Command, shape_command
+        >>> angles = np.deg2rad([[0.0, 0.0], [10.0, 0.0]])
+        >>> model = giajax.ArmModel(giajax.takeichi_20m_full(2))
+        >>> found = shape_command(model, Command(np.array([0.0, 4.0]), angles), shapers=["ZV"])
+        >>> [row.name for row in found.rows]
+        ['unshaped', 'ZV']
+    """
+    for name in shapers:
+        if name not in SHAPERS:
+            raise InputError(f"the shaper {name!r} is unknown: use one of {', '.join(SHAPERS)}")
+    result = model if isinstance(model, FitResult) else None
+    stated = model.model if isinstance(model, FitResult) else model
+    if not isinstance(stated, ArmModel):
+        raise InputError("commands are shaped for an arm: give a fit of one, or its file")
+    arm = stated.arm
+    if command.angles.shape[1] != arm.count:
+        raise InputError(
+            f"the command is of {command.angles.shape[1]} joints, and the arm has {arm.count}"
+        )
+    modes, end = modes_after(arm, command)
+    first = jnp.asarray(command.angles[0], dtype=jnp.result_type(float))
+    travel = float(np.linalg.norm(end - np.asarray(_about(arm, first).tip)))
+    if not travel > 1e-6:
+        raise InputError("the tip is where it was when the command ends: give one that moves it")
+    worth = _chosen(modes, travel)
+    wrong = [_softer(stated, 1 - _WRONG).arm, _softer(stated, 1 + _WRONG).arm]
+    drawn = [] if result is None else [each.arm for each in _draws(stated, result, draw_count)]
+    study = _Study(command, modes[0], worth[1:], [arm, *wrong], drawn, travel)
+    rows = [study.row("unshaped", None)]
+    notes = []
+    for name in shapers:
+        if progress is not None:
+            progress(f"{name} ...")
+        rows.append(study.row(name, study.tuned(name) if tuned else study.usual(name)))
+    if modes[0].damping > _MOST_DAMPED:
+        notes.append(
+            "the air damps a swing of this size so much that the arm creeps to its rest, and does "
+            "not swing about it"
+        )
+    soonest, *others = [np.inf if row.settled is None else row.settled for row in rows]
+    if soonest <= min(others, default=np.inf) and np.isfinite(soonest):
+        notes.append("no shaped command brings the tip to rest sooner than the command as it was")
+    return Shaping(tuple(rows), tuple(worth), travel, tuple(notes))
+
+
+def _chosen(modes: Sequence[Mode], travel: float) -> list[Mode]:
+    """The first mode, and those that it leaves swinging, whatever the shaper."""
+    slowest = modes[0]
+    before = zero_vibration(slowest.period, min(slowest.damping, _MOST_DAMPED))
+    left = [mode for mode in modes[1:] if mode.swing > _WORTH * travel]
+    more = [m for m in left if m.swing * before.left(m.period, 0.0) > _WORTH * travel]
+    return [slowest, *more[: _MOST_MODES - 1]]
+
+
+_STIFFNESSES = ("joints.pitch_stiffness", "joints.yaw_stiffness")
+
+
+def _softer(model: ArmModel, factor: float) -> ArmModel:
+    """The model with another stiffness of all springs."""
+    values = {path: getattr(model.arm.joints, path.partition(".")[2]) for path in _STIFFNESSES}
+    return replace(model, {path: value * factor for path, value in values.items()})
+
+
+def _draws(model: ArmModel, result: FitResult, count: int) -> list[ArmModel]:
+    """The model with values that the fit leaves open."""
+    shared = [path for path in result.free if path.partition("[")[0] in _of_arm(model)]
+    parts = [part for path in shared for part in elements(model, path)]
+    if not parts or count < 1:
+        return []
+    values = np.asarray([float(part.value(model)) for part in parts])
+    errors, correlation = known_before(result, [part.path for part in parts])
+    found = draws(parts, values, errors, correlation, count + 1)[1:]
+    paths = [part.path for part in parts]
+    return [replace(model, dict(zip(paths, row, strict=True))) for row in found]
+
+
+def _of_arm(model: ArmModel) -> set[str]:
+    return set(declared(model.arm))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Study:
+    """A command with the arms for which it is to leave no swing, the first of which is fitted."""
+
+    command: Command
+    mode: Mode
+    further: Sequence[Mode]
+    arms: Sequence[Arm]
+    drawn: Sequence[Arm]
+    travel: float
+
+    def impulses(self, name: str, numbers: tuple[float, float]) -> Impulses:
+        """Of a shaper for the slowest mode of a period and damping, and for the others."""
+        shaper = SHAPERS[name]
+        found = shaper.impulses(*numbers)
+        for mode in self.further:
+            found = found.after(shaper.impulses(mode.period, shaper.allowed(mode.damping)))
+        return found
+
+    def usual(self, name: str) -> tuple[float, float]:
+        """Period and damping by the mode alone."""
+        return self.mode.period, SHAPERS[name].allowed(self.mode.damping)
+
+    def tuned(self, name: str) -> tuple[float, float]:
+        """Period and damping that leave least, with each wrong stiffness, too."""
+        shaper, (period, damping) = SHAPERS[name], self.usual(name)
+        weight = _LET if shaper.robust else 0.0
+        tried = [
+            (period * longer, shaper.allowed(each))
+            for longer in _PERIODS
+            for each in (*_DAMPINGS, damping)
+        ]
+        known: dict[tuple[float, float], float] = {}
+        for by_period, by_damping in (*_CLOSER, (0.0, 0.0)):
+            new = [each for each in dict.fromkeys(tried) if each not in known]
+            commands = [self.command.shaped(self.impulses(name, each)) for each in new]
+            left, _, _ = self._moved(commands, self.arms, _TUNING)
+            worst = np.maximum(left[:, 0], weight * np.max(left[:, 1:], axis=1))
+            known |= dict(zip(new, worst.tolist(), strict=True))
+            period, damping = min(known, key=lambda each: known[each])
+            tried = [
+                (period * (1 + by * by_period), shaper.allowed(damping + other * by_damping))
+                for by in (-1, 0, 1)
+                for other in (-1, 0, 1)
+            ]
+        return period, damping
+
+    def row(self, name: str, numbers: tuple[float, float] | None) -> Shaped:
+        """The command by a shaper, with all arms."""
+        impulses = NONE if numbers is None else self.impulses(name, numbers)
+        shaped = self.command.shaped(impulses)
+        left, times, distances = self._moved([shaped], [*self.arms, *self.drawn], _FINAL)
+        count = len(self.arms)
+        return Shaped(
+            name=name,
+            command=shaped,
+            impulses=impulses,
+            longer=float(impulses.times[-1]),
+            tuned=numbers,
+            settled=self._settled(times[0], distances[0, 0]),
+            residual=float(left[0, 0]),
+            soft=float(left[0, 1]),
+            stiff=float(left[0, 2]),
+            drawn=left[0, count:],
+            times=times[0],
+            distance=distances[0, 0],
+            distances=distances[0, count:],
+        )
+
+    def _moved(
+        self, commands: Sequence[Command], arms: Sequence[Arm], tolerance: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What each command leaves with each arm (m), samples (s), and distances over time (m)."""
+        longest = 3 * self.mode.period
+        times = np.stack([_samples(each.times[-1], longest) for each in commands])
+        cases = [
+            _Case(arm, each.signal(self.rows), jnp.asarray(row), jnp.asarray(tolerance))
+            for each, row in zip(commands, times, strict=True)
+            for arm in arms
+        ]
+        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *cases)
+        # A case at a time: one program, however many there are.
+        batch = Batch(_moved, stacked, (), np.ones(len(cases)), 1)
+        distances, successful = run_on_all_cores([batch])[0]
+        distances = np.where(successful[:, None], distances, np.inf)
+        distances = distances.reshape(len(commands), len(arms), -1)
+        return np.max(distances[..., _UNTIL:], axis=-1), times, distances
+
+    @functools.cached_property
+    def rows(self) -> int:
+        """As many as a shaped command may have."""
+        return len(self.command.times) * 3 ** (1 + len(self.further))
+
+    def _settled(self, times: np.ndarray, distance: np.ndarray) -> float | None:
+        """When the tip has come to stay near its rest, s."""
+        far = np.flatnonzero(distance > _NEAR * self.travel)
+        if not far.size:
+            return 0.0
+        return None if far[-1] == len(times) - 1 else float(times[far[-1] + 1])
+
+
+def _samples(end: float, longest: float) -> np.ndarray:
+    """Times until a command ends, s, and then for so long."""
+    until = np.linspace(0.0, end, _UNTIL, endpoint=False)
+    return np.concatenate([until, end + np.linspace(0.0, longest, _AFTER)])
+
+
+SHAPING_HEADINGS = (
+    "shaper",
+    "command ends, s",
+    "tip at rest, s",
+    "residual, % of travel",
+    "stiffness -25 %",
+    "stiffness +25 %",
+    "95 % of draws",
+)
+
+
+def shaping_rows(found: Shaping) -> list[tuple[Any, ...]]:
+    """A row for each command, as `SHAPING_HEADINGS` says; without draws the last cell is None."""
+
+    def share(size: float) -> float:
+        return 100 * size / found.travel
+
+    return [
+        (
+            row.name,
+            float(row.command.times[-1]),
+            row.settled,
+            share(row.residual),
+            share(row.soft),
+            share(row.stiff),
+            share(float(np.percentile(row.drawn, 95))) if len(row.drawn) else None,
+        )
+        for row in found.rows
+    ]
+
+
+def shaping_facts(found: Shaping) -> dict[str, Any]:
+    """What was found as plain data."""
+    modes = [
+        {"period_s": mode.period, "damping": mode.damping, "swing_m": mode.swing}
+        for mode in found.modes
+    ]
+
+    def of(impulses: Impulses) -> dict[str, Any]:
+        return {"time_s": impulses.times.tolist(), "size": impulses.sizes.tolist()}
+
+    rows = [
+        {
+            "shaper": row.name,
+            "longer_s": row.longer,
+            "settled_s": row.settled,
+            "period_s": None if row.tuned is None else row.tuned[0],
+            "damping": None if row.tuned is None else row.tuned[1],
+            "impulses": {
+                "time_s": row.impulses.times.tolist(),
+                "size": row.impulses.sizes.tolist(),
+            },
+            "residual_m": row.residual,
+            "residual_soft_m": row.soft,
+            "residual_stiff_m": row.stiff,
+            "residual_drawn_m": row.drawn.tolist(),
+        }
+        for row in found.rows
+    ]
+    return {"travel_m": found.travel, "modes": modes, "commands": rows, "notes": list(found.notes)}
+
+
+_COLOURS = (GREY, BLUE, VERMILLION, GREEN)
+
+
+def shaping_figure(found: Shaping, title: str = "") -> Figure:
+    """The commands, and how far the tip is from its rest over time."""
+    figure = new_figure(9, 6.4, title or "A command, unshaped and shaped")
+    above, below = figure.subplots(2, 1, sharex=True)
+    moved = np.ptp(found.rows[0].command.angles, axis=0)
+    joint = int(np.argmax(moved))
+    for row, colour in zip(found.rows, itertools.cycle(_COLOURS), strict=False):
+        angles = np.degrees(row.command.at(row.times)[:, joint])
+        above.plot(row.times, angles, color=colour, label=row.name)
+        if len(row.distances):
+            low, high = np.percentile(row.distances, (2.5, 97.5), axis=0)
+            below.fill_between(row.times, low, high, color=colour, alpha=0.2, lw=0)
+        below.plot(row.times, row.distance, color=colour, label=row.name)
+        below.plot(row.times[_UNTIL], row.distance[_UNTIL], "o", color=colour, ms=5)
+    below.axhline(_NEAR * found.travel, color=GREY, lw=0.8, ls=":")
+    plain(above, "", "", f"command of joint {joint + 1} (deg)")
+    plain(below, "", "time (s)", "distance of the tip\nfrom its rest (m)")
+    below.set_ylim(0, None)
+    above.legend(fontsize=9, frameon=False)
+    return figure

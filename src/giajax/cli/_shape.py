@@ -1,0 +1,167 @@
+"""`giajax shape`: a command after which the arm does not swing."""
+
+import json
+import math
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..runtime.process import configure
+from ..runtime.text import InputError
+from ._commands import (
+    Force,
+    Json,
+    Renamed,
+    Texts,
+    argument,
+    command,
+    failed_simulation,
+    print_table,
+    say_progress,
+    say_written,
+    write_folder,
+)
+from ._model import definition_of, is_result, model_of
+
+if TYPE_CHECKING:
+    from ..apps.shaping import Command, Shaping
+    from ..recordings import Run
+
+_PAGE, _PICTURE = "shape.json", "shape.png"
+
+
+@command("""\b
+Examples:
+  giajax shape command.csv --model giajax-out/run --out shaped
+                     ZV, ZVD and EI, with what the fit leaves open
+  giajax shape command.csv --model my_arm.toml --shaper ZVD --out shaped
+                     one of them, for an arm that is stated
+  giajax simulate --command shaped/command_zvd.csv --out rehearsal.csv
+                     the arm, driven by one of them
+
+\b
+MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states an
+arm; without it the sidecar's is taken. Writes command_zv.csv and so on, which an
+operator can run, shape.json and shape.png. The residual is the largest distance of
+the tip from where it comes to rest, once the command has ended, in still air.""")
+def shape(
+    run: Annotated[Path, argument("COMMAND.csv", "A run whose commands are shaped.")],
+    out: Annotated[Path, "DIR", "Folder for the files."],
+    model: Annotated[Path | None, "MODEL", "The arm; see below."] = None,
+    shaper: Annotated[Texts, "NAME", "ZV, ZVD or EI. [all]"] = None,
+    tune: Annotated[bool, "Search for period and damping with simulations."] = True,
+    draws: Annotated[int, "N", "Values of what the fit leaves open to look at.", 0] = 20,
+    rename: Renamed = None,
+    as_json: Json = False,
+    quiet: Annotated[bool, "Print errors only."] = False,
+    force: Force = False,
+) -> None:
+    """Shape a command so that the arm does not swing after it.
+
+    The command is convolved with a few impulses, by the modes of the arm where it ends and by how
+    much the air damps them.
+    """
+    from ..recordings import check_output_folder, parse_rename, read_run, stored_result, write_run
+
+    names = [name.upper() for name in shaper or ["ZV", "ZVD", "EI"]]
+    files = [_PAGE, _PICTURE, *(_file(name) for name in names)]
+    check_output_folder(out, files, force=force)
+    if model is not None and is_result(model):
+        stored_result(model)
+    recorded = read_run(run, definition=definition_of(model), rename=parse_rename(rename or []))
+    configure()
+    from ..apps.shaping import shape_command, shaping_facts, shaping_figure
+    from ..fitting import load_result
+    from ..report import to_png
+
+    fitted = model is not None and is_result(model)
+    source: Any = load_result(model) if fitted and model else model_of(model, [recorded])
+    given = _command(recorded, source)
+    with failed_simulation(""):
+        found = shape_command(
+            source,
+            given,
+            shapers=names,
+            tuned=tune,
+            draw_count=draws,
+            progress=say_progress(quiet),
+        )
+    text = json.dumps(shaping_facts(found), indent=2, allow_nan=False)
+    picture = to_png(shaping_figure(found, f"{recorded.name}: unshaped and shaped"))
+    write_folder(out, {_PAGE: f"{text}\n".encode(), _PICTURE: picture}, force=force)
+    for row in found.rows[1:]:
+        times, columns = _rows(recorded, row.command)
+        how: dict[str, Any] = {"definition": recorded.definition, "force": force}
+        write_run(out / _file(row.name), times, columns, **how)
+    if as_json:
+        typer.echo(text)
+    elif not quiet:
+        _show(found)
+        say_written(out, files)
+        best = min(found.rows[1:], key=lambda row: (row.settled or math.inf, row.residual))
+        path = shlex.quote(str(out / _file(best.name)))
+        typer.echo(f"next: giajax simulate --command {path} --out rehearsal.csv")
+
+
+def _file(name: str) -> str:
+    return f"command_{name.lower()}.csv"
+
+
+def _command(run: "Run", source: Any) -> "Command":
+    """The commands of a run, of all joints of an arm, at their corners, from 0 s on."""
+    import numpy as np
+
+    from ..apps.shaping import Command
+    from ..models import ArmModel
+    from ..schema import CommandSection
+    from ..simulation import logged
+
+    stated = getattr(source, "model", source)
+    if not isinstance(stated, ArmModel):
+        raise InputError("commands are shaped for an arm: give a fit of one, or its file")
+    if run.times is None or not run.commands:
+        raise InputError(
+            f"{run.path} has no commands over time: give columns such as joint01_command_deg"
+        )
+    interpolation = run.definition.section(CommandSection).interpolation
+    angles = np.zeros((len(run.times), stated.arm.count))
+    for name, values in run.commands.items():
+        joint = run.channels[name].index or 0
+        if not 1 <= joint <= stated.arm.count:
+            raise InputError(
+                f"{name} is of joint {joint}, and the arm has joints 1 to {stated.arm.count}: "
+                "correct the column, or give another arm"
+            )
+        angles[:, joint - 1] = values
+    corners = logged(run.times - run.times[0], angles, interpolation)
+    times, rows = np.asarray(corners.times), np.asarray(corners.values)
+    return Command(times, rows, interpolation == "zoh")
+
+
+def _rows(run: "Run", shaped: "Command") -> tuple[Any, dict[str, Any]]:
+    """Rows of a shaped command as often as the run has some, with its corners; the same joints."""
+    import numpy as np
+
+    assert run.times is not None
+    step = float(np.median(np.diff(run.times)))
+    regular = np.arange(0.0, shaped.times[-1] + step, step)
+    apart = np.min(np.abs(shaped.times[:, None] - regular), axis=1) > 1e-6 * step
+    times = np.sort(np.concatenate([regular, shaped.times[apart]]))
+    angles = shaped.at(times)
+    columns = {name: angles[:, (run.channels[name].index or 1) - 1] for name in run.commands}
+    return run.times[0] + times, columns
+
+
+def _show(found: "Shaping") -> None:
+    from ..apps.shaping import SHAPING_HEADINGS, shaping_rows
+
+    for mode in found.modes:
+        typer.echo(
+            f"mode of {mode.period:.1f} s, damping {mode.damping:.2f} as the command excites it"
+        )
+    typer.echo(f"travel of the tip {found.travel:.3g} m\n")
+    print_table(SHAPING_HEADINGS, shaping_rows(found))
+    for note in found.notes:
+        typer.echo(f"note: {note}")
