@@ -30,6 +30,7 @@ from ._record import (
     write as write,
 )
 from ._right_models import RIGHT_MODELS
+from ._shaping import SHAPING
 from ._study import Study as Study
 from ._suspects import SUSPECTS
 from ._sweep import SWEEP, SWEEP_SPEED
@@ -52,5 +53,6 @@ _ALL = (
     POSTERIOR,
     DESIGN,
     MISSIONS,
+    SHAPING,
 )
 STUDIES = {study.name: study for study in _ALL}

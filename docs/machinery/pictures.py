@@ -19,6 +19,7 @@ from giajax.apps.filling import curve_figure, filling_curve, filling_figure
 from giajax.apps.joint import correction_figure, equilibria_figure, equilibria_table, joint_figure
 from giajax.apps.mission import Mission, mission_figure
 from giajax.apps.paper import reproduce
+from giajax.apps.shaping import Command, shape_command, shaping_figure
 from giajax.mechanics.joint import LARGEST_ANGLE, JointPair
 from giajax.report import (
     correlation_figure,
@@ -124,6 +125,15 @@ def _mission() -> None:
     _save("mission", to_png(mission_figure(mission, mission.fly(1))))
 
 
+def _shaping() -> None:
+    """A move of the base joint, unshaped and shaped."""
+    arm = giajax.ArmModel(giajax.takeichi_20m_full())
+    angles = np.zeros((2, 20))
+    angles[1, 0] = np.deg2rad(5.0)
+    found = shape_command(arm, Command(np.array([0.0, 30.0]), angles))
+    _save("shaping", to_png(shaping_figure(found, "5 degrees within 30 s, unshaped and shaped")))
+
+
 def _paper() -> None:
     """A figure of the paper, made again."""
     for name, made in reproduce(["fig5"], ROOT / "data" / "paper"):
@@ -143,6 +153,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     "fig12.png": _hysteresis,
     "filling.png filling_curve.png": _filling,
     "mission.png": _mission,
+    "shaping.png": _shaping,
     "fig5.png": _paper,
 }
 """What makes which files."""

@@ -303,8 +303,8 @@ def modes_after(arm: Arm, command: Command) -> tuple[list[Mode], np.ndarray]:
         InputError: the arm has no stable rest there.
     """
     last = jnp.asarray(command.angles[-1], dtype=jnp.result_type(float))
-    parts: Any = map(np.asarray, _about(arm, last))
-    about = _About(*parts)
+    parts: Any = [np.asarray(part) for part in _about(arm, last)]
+    about: Any = _About(*parts)
     if not (np.all(np.isfinite(about.angles)) and about.off < 1e-6):
         raise InputError("no rest of the arm is found where the command ends: end it elsewhere")
     stiffness = -about.mass @ about.by_angles

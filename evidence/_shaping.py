@@ -1,0 +1,147 @@
+"""Shaping: what is left of a swing after commands that were shaped, on arms that are drawn.
+
+An arm in full air has stiffness, drag and damping drawn, some have joints that remember, and a
+base joint moves by an angle within half, one and one and a half of the period of its slowest mode.
+The command is shaped for that arm, then driven with it, and with a stiffness a quarter off.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ._study import Figures, Study
+
+DURATIONS = (0.5, 1.0, 1.5)
+# Deviations of the logarithm.
+SPREAD = {"joints.pitch_stiffness": 0.2, "air.drag_coefficient": 0.2, "joints.damping": 0.5}
+MEMORY = {"joints.memory.strength": 0.06, "joints.memory.yield_angle": 0.001}
+ANGLES = (5.0, 30.0)  # deg
+LINKS = 20
+# Of a disagreement by chance, for each of the comparisons.
+PROBABILITY = 1e-4
+
+
+def run(size: int, seed: int, links: int = LINKS) -> Figures:
+    """Figures of `size` arms, every fourth of which has joints that remember."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    shaped: dict[str, dict[str, list[list[float]]]] = {f"{each:g}": {} for each in DURATIONS}
+    for number in range(size):
+        for duration, rows in _arm(number, np.random.default_rng([seed, number]), links).items():
+            for name, shares in rows.items():
+                shaped[duration].setdefault(name, []).append(shares)
+    return {
+        "links": links,
+        "durations": {
+            duration: {
+                name: {
+                    "right": [each[0] for each in shares],
+                    "stiffness_off": [each[1] for each in shares],
+                    "settled_s": [each[2] for each in shares],
+                }
+                for name, shares in rows.items()
+            }
+            for duration, rows in shaped.items()
+        },
+    }
+
+
+def part(size: int, seed: int) -> Figures:
+    """Of short arms."""
+    return run(size, seed, 6)
+
+
+def _arm(number: int, rng: np.random.Generator, links: int) -> dict[str, dict[str, list[float]]]:
+    """By duration and shaper: residuals in % of the travel, the worse of both wrong ones, and s."""
+    from giajax import ArmModel, replace, takeichi_20m_full
+    from giajax.apps.shaping import Command, modes_after, shape_command
+
+    parameters: Any = MEMORY if number % 4 == 3 else None
+    arm = takeichi_20m_full(links, parameters=parameters)
+    drawn = {path: np.exp(deviation * rng.normal()) for path, deviation in SPREAD.items()}
+    drawn["joints.yaw_stiffness"] = drawn["joints.pitch_stiffness"]
+    values = {path: _value(arm, path) * factor for path, factor in drawn.items()}
+    arm = replace(arm, values)
+    angles = np.zeros((2, links))
+    angles[1, 0] = np.deg2rad(rng.uniform(*ANGLES)) * rng.choice([-1, 1])
+    period = modes_after(arm, Command(np.array([0.0, 0.01]), angles))[0][0].period
+    found = {}
+    for duration in DURATIONS:
+        command = Command(np.array([0.0, duration * period]), angles)
+        shaping = shape_command(ArmModel(arm), command)
+        found[f"{duration:g}"] = {
+            row.name: [
+                round(100 * row.residual / shaping.travel, 3),
+                round(100 * max(row.soft, row.stiff) / shaping.travel, 3),
+                -1.0 if row.settled is None else round(row.settled, 1),
+            ]
+            for row in shaping.rows
+        }
+    return found
+
+
+def _value(arm: Any, path: str) -> Any:
+    from giajax.schema.parameters import find
+
+    return find(arm, path).value(arm)
+
+
+def disagreements(stored: Figures, new: Figures) -> list[str]:
+    """Shapers that leave more than they may, or that do not leave less than none does."""
+    sentences = []
+    for duration, rows in new["durations"].items():
+        for name, row in rows.items():
+            kept = stored["durations"][duration][name]
+            for what in ("right", "stiffness_off"):
+                most = 2 * max(max(kept[what]), 2.0)
+                if name != "unshaped" and max(row[what]) > most:
+                    sentences.append(
+                        f"{duration} periods, {name}, {what}: {max(row[what]):.3g} % is left, and "
+                        f"at most {max(kept[what]):.3g} % was"
+                    )
+    return sentences
+
+
+def table(figures: Figures) -> list[str]:
+    """A row for each duration and shaper."""
+    rows = [
+        "| move, periods | shaper | residual, median | largest | within 2 % | stiffness a quarter "
+        "off: median | largest | within 5 % | tip at rest, median s |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for duration, each in figures["durations"].items():
+        for name, row in each.items():
+            cells = []
+            for what, most in (("right", 2.0), ("stiffness_off", 5.0)):
+                shares = np.asarray(row[what])
+                within = f"{np.count_nonzero(shares <= most)} of {len(shares)}"
+                cells += [f"{np.median(shares):.2f} %", f"{np.max(shares):.2f} %", within]
+            settled = np.asarray(row["settled_s"])
+            middle = np.median(np.where(settled < 0, np.inf, settled))
+            ended = f"{middle:.0f}" if np.isfinite(middle) else "later"
+            rows.append(f"| {duration} | {name} | {' | '.join(cells)} | {ended} |")
+    drawn = ", ".join(f"`{path}` {deviation:g}" for path, deviation in SPREAD.items())
+    return [
+        *rows,
+        "",
+        f"Drawn by the standard deviation of their logarithm: {drawn}; the angle of the base joint "
+        f"evenly from {ANGLES[0]:g} to {ANGLES[1]:g} degrees. Every fourth arm has joints that "
+        "remember. Residuals are of the travel of the tip.",
+    ]
+
+
+SHAPING = Study(
+    name="shaping",
+    meaning=(
+        "What is left of the swing of the paper's arm in full air after a command as it is, and "
+        "after the same command shaped by `giajax shape`: with the arm that it was shaped for, and "
+        "with a stiffness that is a quarter off."
+    ),
+    size=40,
+    seed=1,
+    run=run,
+    disagreements=disagreements,
+    table=table,
+    part=part,
+)
