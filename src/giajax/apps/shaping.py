@@ -19,7 +19,7 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -29,12 +29,13 @@ from scipy.optimize import root
 
 from ..fitting import FitResult
 from ..mechanics.arm import Arm, acceleration, mass_matrix, tip_position
-from ..models import ArmModel
+from ..models import AbstractModel, ArmModel
 from ..report import BLUE, GREEN, GREY, VERMILLION, new_figure, plain
 from ..runtime.arrays import Array, Float
 from ..runtime.parallel import Batch, run_on_all_cores
 from ..runtime.programs import program
 from ..runtime.text import InputError
+from ..schema import ARM
 from ..schema.parameters import declared, elements, replace
 from ..simulation import Signal, followed, simulate
 from .design import draws, known_before
@@ -454,8 +455,23 @@ _PERIODS, _DAMPINGS = (1.0, 1.4), (0.0, 0.1, 0.25, 0.4, 0.6, 0.8)
 _CLOSER = ((0.12, 0.08), (0.05, 0.04))
 
 
+def arm_model_of(model: AbstractModel | FitResult) -> ArmModel:
+    """The model of an arm, fitted or not.
+
+    Raises:
+        InputError: it is another model.
+    """
+    stated = model.model if isinstance(model, FitResult) else model
+    if stated.kind != ARM.name:
+        raise InputError(
+            f"the model is that of a {stated.kind}, and commands are shaped for an arm: give a fit "
+            "of one, or its file"
+        )
+    return cast("ArmModel", stated)
+
+
 def shape_command(
-    model: ArmModel | FitResult,
+    model: AbstractModel | FitResult,
     command: Command,
     *,
     shapers: Sequence[str] = tuple(SHAPERS),
@@ -490,9 +506,7 @@ def shape_command(
         if name not in SHAPERS:
             raise InputError(f"the shaper {name!r} is unknown: use one of {', '.join(SHAPERS)}")
     result = model if isinstance(model, FitResult) else None
-    stated = model.model if isinstance(model, FitResult) else model
-    if not isinstance(stated, ArmModel):
-        raise InputError("commands are shaped for an arm: give a fit of one, or its file")
+    stated = arm_model_of(model)
     arm = stated.arm
     if command.angles.shape[1] != arm.count:
         raise InputError(

@@ -113,25 +113,22 @@ def _command(run: "Run", source: Any) -> "Command":
     """The commands of a run, of all joints of an arm, at their corners, from 0 s on."""
     import numpy as np
 
-    from ..apps.shaping import Command
-    from ..models import ArmModel
+    from ..apps.shaping import Command, arm_model_of
     from ..schema import CommandSection
     from ..simulation import logged
 
-    stated = getattr(source, "model", source)
-    if not isinstance(stated, ArmModel):
-        raise InputError("commands are shaped for an arm: give a fit of one, or its file")
+    count = arm_model_of(source).arm.count
     if run.times is None or not run.commands:
         raise InputError(
             f"{run.path} has no commands over time: give columns such as joint01_command_deg"
         )
     interpolation = run.definition.section(CommandSection).interpolation
-    angles = np.zeros((len(run.times), stated.arm.count))
+    angles = np.zeros((len(run.times), count))
     for name, values in run.commands.items():
         joint = run.channels[name].index or 0
-        if not 1 <= joint <= stated.arm.count:
+        if not 1 <= joint <= count:
             raise InputError(
-                f"{name} is of joint {joint}, and the arm has joints 1 to {stated.arm.count}: "
+                f"{name} is of joint {joint}, and the arm has joints 1 to {count}: "
                 "correct the column, or give another arm"
             )
         angles[:, joint - 1] = values
