@@ -23,7 +23,14 @@ from typer.core import TyperCommand, TyperGroup
 from ..runtime.files import check_path
 from ..runtime.plugins import load_plugin
 from ..runtime.process import CORES_VARIABLE, configure, is_stopped, stopped_status
-from ..runtime.text import InputError, abridged, error_in_words, shown, time_in_words
+from ..runtime.text import (
+    InputError,
+    abridged,
+    error_in_words,
+    narrowest,
+    shown,
+    time_in_words,
+)
 from ._values import number
 
 if TYPE_CHECKING:
@@ -348,14 +355,19 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, left:
     from rich.table import Table
     from rich.text import Text
 
+    cells = [[_cell(value) for value in row] for row in rows]
     shown = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=any(headings))
-    for position, heading in enumerate(headings):
-        shown.add_column(Text(heading), justify="left" if position < left else "right")
-    for row in rows:
-        shown.add_row(*(Text(_cell(value)) for value in row))
+    least = narrowest(headings, cells)
+    for position, (heading, (width, wraps)) in enumerate(zip(headings, least, strict=True)):
+        about: Any = {"justify": "left" if position < left else "right", "no_wrap": not wraps}
+        shown.add_column(Text(heading), min_width=width, **about)
+    for row in cells:
+        shown.add_row(*map(Text, row))
     # What a file says must not command a terminal, so no command of ours gets there either.
     console = Console(highlight=False, color_system=None)
     if console.is_terminal:
+        # A name or a number that is cut cannot be copied: rather a line that is too long.
+        console.width = max(console.width, sum(width + 2 for width, _ in least))
         console.print(shown)
         return
     wide = Console(highlight=False, width=10_000, color_system=None)

@@ -163,10 +163,27 @@ class ShownAsTable:
         from rich.text import Text
 
         title, headings, rows = self._few()
-        table = Table(*headings, title=Text(title), show_header=any(headings))
+        table = Table(title=Text(title), show_header=any(headings))
+        for heading, (width, wraps) in zip(headings, narrowest(headings, rows), strict=True):
+            table.add_column(heading, min_width=width, no_wrap=not wraps)
         for cells in rows:
             table.add_row(*map(Text, cells))
         return table
+
+
+_SENTENCE = 24  # a cell that is longer is text, which may go over several lines
+
+
+def narrowest(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[tuple[int, bool]]:
+    """How narrow each column of a table may be before something is cut, and whether it wraps."""
+    columns = zip(headings, *(row for row in rows if len(row) == len(headings)), strict=True)
+    found = []
+    for column in columns:
+        words = [len(word) for cell in column for word in cell.split()]
+        longest = max(map(len, column))
+        wraps = longest > max(_SENTENCE, *words, 0)
+        found.append((max(words, default=0) if wraps else longest, wraps))
+    return found
 
 
 # A path of a deep folder, and a sentence that lists what there is.
