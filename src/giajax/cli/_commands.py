@@ -1,6 +1,7 @@
 """What commands are made of: registration, words, ends; and options and output that many have."""
 
 import contextlib
+import dataclasses
 import functools
 import inspect
 import os
@@ -33,11 +34,46 @@ Function = Callable[..., None]
 Texts = list[str] | None
 Paths = list[Path] | None
 
-COMMANDS: dict[str, tuple[Function, str, str]] = {}
-"""Functions, their examples and `settings_after`, by the name of the command."""
+GROUPS = {
+    "first": "First day",
+    "data": "Data",
+    "fit": "Fit",
+    "trust": "Trust",
+    "plan": "Plan",
+    "arm": "Arm",
+    "paper": "Paper",
+    "other": "Other",
+}
+"""Titles of the groups of commands, in the order of the help."""
+
+OLD_FORMS_END = "the end of 2027"
+"""How long old forms of the options work."""
 
 
-def command(examples: str, *, settings_after: str = "") -> Callable[[Function], Function]:
+@dataclasses.dataclass(frozen=True)
+class Registered:
+    """A command: its function, and what `command` was given with it."""
+
+    function: Function
+    examples: str
+    group: str
+    settings_after: str = ""
+    old: Mapping[str, str | tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    old_words: str = ""
+
+
+COMMANDS: dict[str, Registered] = {}
+"""All commands by their names."""
+
+
+def command(
+    examples: str,
+    *,
+    group: str,
+    settings_after: str = "",
+    old: Mapping[str, str | tuple[str, ...]] | None = None,
+    old_words: str = "",
+) -> Callable[[Function], Function]:
     """Make a function a command of `giajax`, whose help ends with examples.
 
     A parameter is an option by its annotation: `Annotated[type, metavar, help]`, and without the
@@ -45,11 +81,20 @@ def command(examples: str, *, settings_after: str = "") -> Callable[[Function], 
     numbers are the least and the greatest value, and what is a list may be repeated. Of keywords,
     `**settings: Unpack[Settings]`, each item of the `TypedDict` is one.
     They stand in the help behind the parameter `settings_after`.
+
+    The help of all commands shows it in one of `GROUPS`. `old` has the options that it had under
+    other names, and what each is now: an option (or several), an argument by its metavar, or ""
+    where it is gone; "--out FILE.json" is an option whose values of this ending are old. Words
+    beyond the arguments that it has were those of the option `old_words`.
     """
+    if group not in GROUPS:
+        raise ValueError(f"there is no group '{group}': use one of {', '.join(GROUPS)}")
 
     def register(function: Function) -> Function:
         # `import` is a word of Python: its function is called import_.
-        COMMANDS[function.__name__.rstrip("_")] = (function, examples, settings_after)
+        COMMANDS[function.__name__.rstrip("_")] = Registered(
+            function, examples, group, settings_after, old or {}, old_words
+        )
         return function
 
     return register
@@ -133,13 +178,16 @@ def _with_option(parameter: Parameter) -> Parameter:
 _WHOLE = re.compile(r"[-+]?[0-9]{1,18}")
 
 
-def command_of(function: Callable[..., None]) -> type[TyperCommand]:
+def command_of(function: Callable[..., None], registered: Registered) -> type[TyperCommand]:
     """A class for the command of a function, which checks numbers and paths by its signature."""
     types = {name: _type_of(hint) for name, hint in get_type_hints(function).items()}
 
     class Command(TyperCommand):
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-            """Check the words, then convert them."""
+            """Translate old forms, check the words, then convert them."""
+            args, notes = renewed(self, registered, args)
+            for note in notes:
+                typer.echo(note, err=True)
             typed = self.make_parser(ctx).parse_args(args=list(args))[0]
             for name, value in typed.items():
                 for word in _words(value):
@@ -147,6 +195,113 @@ def command_of(function: Callable[..., None]) -> type[TyperCommand]:
             return super().parse_args(ctx, args)
 
     return Command
+
+
+# Old forms of options, which are translated before the words are parsed.
+
+
+def _named(command: Any) -> dict[str, Any]:
+    """The options of a command by each of their names."""
+    return {
+        name: each
+        for each in command.params
+        for name in (*each.opts, *each.secondary_opts)
+        if name.startswith("-")
+    }
+
+
+def _arguments(command: Any) -> list[Any]:
+    return [each for each in command.params if not each.opts[0].startswith("-")]
+
+
+def _shown(form: str, options: Mapping[str, Any]) -> str:
+    """An option with its metavar, if it has one; an argument is its metavar."""
+    metavar = options[form].metavar if form in options else None
+    return f"{form} {metavar}" if metavar else form
+
+
+def old_forms(command: Any, registered: Registered) -> dict[str, tuple[str, str]]:
+    """The old forms of a command, each with the command line that it was and the one that it is.
+
+    Keys are those of `Registered.old`, and "" for words that were those of an option.
+    """
+    options, words, pairs = _named(command), ["giajax", command.name], {}
+    if new := registered.old_words:
+        places = [each.metavar for each in _arguments(command)]
+        before = [*places, options[new].metavar]
+        pairs[""] = [*words, *before], [*words, *places, _shown(new, options)]
+    for form, new in registered.old.items():
+        news = (new,) if isinstance(new, str) else new
+        metavar = options[news[0]].metavar if news[0] in options else news[0]
+        was = f"{form} {metavar}" if metavar and " " not in form else form
+        now = [_shown(each, options) for each in news if each]
+        pairs[form] = [*words, was], [*words, *now]
+    return {form: (" ".join(old), " ".join(now)) for form, (old, now) in pairs.items()}
+
+
+def renewed(
+    command: Any, registered: Registered, words: Sequence[str]
+) -> tuple[list[str], list[str]]:
+    """The words of a command line with its old forms translated, and a note for each of them."""
+    options = _named(command)
+    places = sum(each.nargs if each.nargs > 0 else len(words) for each in _arguments(command))
+    endings = {form.split()[0]: form for form in registered.old if " " in form}
+    found: dict[str, tuple[str, tuple[str, ...]]] = {}  # by form: as typed, and what it is now
+    given, new, behind = set(), list[str](), list[str]()
+    left, only_words, placed, quiet = list(words), False, 0, False
+    while left:
+        word = left.pop(0)
+        if word == "--" and not only_words:
+            only_words = True
+            continue
+        name, equals, value = word.partition("=")
+        if only_words or not name.startswith("-") or name == "-":
+            placed += 1
+            if placed <= places or not registered.old_words:
+                (behind if only_words else new).append(word)
+            elif "" in found and not options[registered.old_words].multiple:
+                behind.append(word)  # one too many, as it always was
+            else:
+                found[""] = word, (registered.old_words,)
+                new += [registered.old_words, word]
+            continue
+        quiet = quiet or name == "--quiet"
+        if name in registered.old:
+            now = registered.old[name]
+            news = (now,) if isinstance(now, str) else now
+            found[name] = name, news
+            if not news[0] or (news[0] in options and options[news[0]].is_flag):
+                new += [each for each in news if each]
+                continue
+            values = [value] if equals else left[:1]
+            del left[: 0 if equals else 1]
+            for each in news:
+                new += [*([each] if each in options else []), *values]
+            placed += sum(each not in options for each in news)
+            continue
+        given.add(name)
+        new.append(word)
+        if name in options and not options[name].is_flag:
+            if not equals:
+                value = left[0] if left else ""
+                new += left[:1]
+                del left[:1]
+            form = endings.get(name)
+            if form is not None and value.endswith(Path(form.split()[1]).suffix):
+                found[form] = name, ()
+    for typed, news in found.values():
+        for beside in given.intersection(news):
+            raise InputError(
+                f"{shown(typed)} is an old form of {beside}, which is given, too: leave one out"
+            )
+    if behind:
+        new += ["--", *behind]
+    lines = old_forms(command, registered)
+    notes = [
+        f"note: {old} is now {now}; the old form works until {OLD_FORMS_END}"
+        for old, now in (lines[form] for form in found)
+    ]
+    return new, [] if quiet else notes
 
 
 def _type_of(hint: Any) -> Any:
@@ -203,6 +358,19 @@ class Commands(TyperGroup):
         """Run the command that the context names."""
         with _endings():
             return super().invoke(ctx)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write a section for each group, whose summaries stand below each other."""
+        names = self.list_commands(ctx)
+        longest = max(map(len, names))
+        for group, title in GROUPS.items():
+            rows = [
+                (name.ljust(longest), self.commands[name].get_short_help_str(limit=1000))
+                for name in names
+                if COMMANDS[name].group == group
+            ]
+            with formatter.section(title):
+                formatter.write_dl(rows)
 
 
 @contextlib.contextmanager
@@ -373,17 +541,17 @@ def _cell(value: Any) -> str:
 Browser = Annotated[bool, "Open a browser, or only say where."]
 Digits = Annotated[int, "N", "Significant digits that are written.", 3, 17]
 Force = Annotated[bool, "Write over files."]
-ForceFile = Annotated[bool, "Write over a file."]
-ForceRun = Annotated[bool, "Write over a run."]
 Host = Annotated[str, "ADDRESS", "Where to listen; 0.0.0.0: everywhere."]
-Json = Annotated[bool, "--json", "Print JSON instead of a table."]
+Json = Annotated[bool, "--json", "Print JSON instead of tables."]
 Links = Annotated[int | None, "N", "Number of links."]
-OnlyChannels = Annotated[Texts, "NAME", "Only this channel, without its unit."]
+OnlyChannels = Annotated[Texts, "CHANNEL", "Only this channel, without its unit."]
 Port = Annotated[int, "N", "Where to listen; 0 for a free one."]
-Replayed = Annotated[Path | None, "FILE.csv", "A run whose commands and wind are used instead."]
+Quiet = Annotated[bool, "Print errors only."]
+Replayed = Annotated[Path | None, "FILE", "A run whose commands and wind are used instead."]
 Settings = Annotated[Texts, "PATH=VALUE", "A parameter's value.", "--set"]
 Solver = Annotated[str, "NAME", "Integration method, such as tsit5, springs5."]
 Tolerance = Annotated[float, "TOL", "Tolerance of the integration."]
+ToRun = Annotated[Path, "RUN.csv", "The run to write."]
 Wind = Annotated[str | None, "X,Y,Z", "Constant velocity of the air, m/s."]
 
 Renamed = Annotated[Texts, "OLD=NEW", "Read column OLD of the files as NEW."]
@@ -436,16 +604,20 @@ def say_progress(quiet: bool) -> Callable[[str], None] | None:
     return None if quiet else (lambda text: typer.echo(text, err=True))
 
 
-def say_served(page: Any, whoever: str, end: str, *, browser: bool) -> None:
+def say_served(page: Any, whoever: str, end: str, *, browser: bool, quiet: bool) -> None:
     """Say where a page is, what somebody else could do with its address, and how it ends."""
     from ..apps.viewer import open_in_browser
 
-    typer.echo(f"open {page.address}")
-    if page.is_open:
-        typer.echo(f"whoever has this address {whoever}, from other machines, too")
-    typer.echo(f"Ctrl-C {end}")
+    if not quiet:
+        typer.echo(f"open {page.address}")
+        if page.is_open:
+            typer.echo(f"whoever has this address {whoever}, from other machines, too")
+        typer.echo(f"Ctrl-C {end}")
     if browser:
         open_in_browser(page.address)
+
+
+_ONLY_WHERE = ("out", "to", "page", "force", "quiet")
 
 
 def origin(context: typer.Context) -> str:
@@ -455,7 +627,7 @@ def origin(context: typer.Context) -> str:
     words = [f"giajax {version('giajax')} {context.command.name}"]
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
-        if parameter.name in ("out", "force") or value in (None, [], (), parameter.default):
+        if parameter.name in _ONLY_WHERE or value in (None, [], (), parameter.default):
             continue
         items = value if isinstance(value, list | tuple) else [value]
         for item in items:
