@@ -75,8 +75,9 @@ Examples:
   giajax paper all --out DIR
                             the paper's figures and tables, made again
 
-A run is a CSV file with one column a channel (time_s, joint01_command_deg,
-link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .toml."""
+A run is a CSV file with one column a channel (such as time_s, joint01_command_deg
+or link06_z_m) and, beside it, an optional sidecar of the same name ending .toml."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `giajax` with these arguments (those of the process by default); the exit status."""

@@ -58,7 +58,7 @@ class Registered:
     examples: str
     group: str
     settings_after: str = ""
-    old: Mapping[str, str | tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    old: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     old_words: str = ""
 
 
@@ -83,17 +83,19 @@ def command(
     They stand in the help behind the parameter `settings_after`.
 
     The help of all commands shows it in one of `GROUPS`. `old` has the options that it had under
-    other names, and what each is now: an option (or several), an argument by its metavar, or ""
+    other names, and what each is now: an option (or several), an argument by its metavar, or ()
     where it is gone; "--out FILE.json" is an option whose values of this ending are old. Words
     beyond the arguments that it has were those of the option `old_words`.
     """
     if group not in GROUPS:
         raise ValueError(f"there is no group '{group}': use one of {', '.join(GROUPS)}")
 
+    forms = {form: (new,) if isinstance(new, str) else new for form, new in (old or {}).items()}
+
     def register(function: Function) -> Function:
         # `import` is a word of Python: its function is called import_.
         COMMANDS[function.__name__.rstrip("_")] = Registered(
-            function, examples, group, settings_after, old or {}, old_words
+            function, examples, group, settings_after, forms, old_words
         )
         return function
 
@@ -225,18 +227,19 @@ def old_forms(command: Any, registered: Registered) -> dict[str, tuple[str, str]
 
     Keys are those of `Registered.old`, and "" for words that were those of an option.
     """
-    options, words, pairs = _named(command), ["giajax", command.name], {}
-    if new := registered.old_words:
+    options, pairs = _named(command), {}
+    if words := registered.old_words:
         places = [each.metavar for each in _arguments(command)]
-        before = [*places, options[new].metavar]
-        pairs[""] = [*words, *before], [*words, *places, _shown(new, options)]
-    for form, new in registered.old.items():
-        news = (new,) if isinstance(new, str) else new
-        metavar = options[news[0]].metavar if news[0] in options else news[0]
-        was = f"{form} {metavar}" if metavar and " " not in form else form
-        now = [_shown(each, options) for each in news if each]
-        pairs[form] = [*words, was], [*words, *now]
-    return {form: (" ".join(old), " ".join(now)) for form, (old, now) in pairs.items()}
+        pairs[""] = [*places, options[words].metavar], [*places, _shown(words, options)]
+    for form, news in registered.old.items():
+        # An option that is an argument now has the metavar of that.
+        metavars = [options[new].metavar if new in options else new for new in news[:1]]
+        was = [form] if " " in form else [form, *filter(None, metavars)]
+        pairs[form] = was, [_shown(new, options) for new in news]
+    return {
+        form: (" ".join(["giajax", command.name, *old]), " ".join(["giajax", command.name, *now]))
+        for form, (old, now) in pairs.items()
+    }
 
 
 def renewed(
@@ -267,11 +270,10 @@ def renewed(
             continue
         quiet = quiet or name == "--quiet"
         if name in registered.old:
-            now = registered.old[name]
-            news = (now,) if isinstance(now, str) else now
+            news = registered.old[name]
             found[name] = name, news
-            if not news[0] or (news[0] in options and options[news[0]].is_flag):
-                new += [each for each in news if each]
+            if all(each in options and options[each].is_flag for each in news):
+                new += news
                 continue
             values = [value] if equals else left[:1]
             del left[: 0 if equals else 1]

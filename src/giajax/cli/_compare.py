@@ -22,7 +22,6 @@ Examples:
   giajax compare giajax-out/a giajax-out/b giajax-out/c --page compare.html
                             three fits, and a page with their pictures
 
-\b
 RESULT is the folder of a fit, or its result.json. Differences are from the
 first result, in joint standard errors. BIC is shown where all were fitted to
 the same values with the same noise and loss; where not, a line says so.""",
@@ -30,7 +29,7 @@ the same values with the same noise and loss; where not, a line says so.""",
     old={"--out": "--page"},
 )
 def compare(
-    results: Annotated[list[Path], argument("RESULT...", "At least two fits; see below.")],
+    results: Annotated[list[Path], argument("RESULT", "At least two fits; see below.")],
     as_json: Json = False,
     page: Annotated[Path | None, "FILE.html", "Write a page for a browser."] = None,
     force: Force = False,
@@ -101,7 +100,7 @@ that of the best; a large difference on the part that judges and a small one her
 that describes what it saw and no more.""",
     group="fit",
     # It prints, and writes no file; its progress is shown where somebody watches.
-    old={"--held-out": "--validation", "--quiet": ""},
+    old={"--held-out": "--validation", "--quiet": ()},
 )
 def choose(
     data: Annotated[list[Path], "RUN.csv", "A run to fit to."],
@@ -113,9 +112,9 @@ def choose(
     rename: Renamed = None,
     as_json: Json = False,
 ) -> None:
-    """Compare hysteresis models on loops that they were not fitted to.
+    """Compare models of hysteresis on loops that judge them.
 
-    Each is fitted to the other loops first.
+    Each is fitted first, to other loops than those.
     """
     from ..recordings import parse_rename, read_run
 
@@ -159,7 +158,6 @@ Examples:
   giajax report giajax-out/run --data elsewhere/run.csv
                             of a run that has moved since it was fitted
 
-\b
 RESULT is the folder of a fit, or its result.json. The page is one file that
 opens without a network: the verdict, the parameters, what limits them, recorded
 against fitted values, the arm as it moves, and where all of it comes from.""",

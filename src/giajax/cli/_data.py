@@ -160,8 +160,8 @@ Examples:
   giajax import bag --point /joint_states/shoulder=joint01 --to run.csv \\
       --point "/commands/shoulder position=joint01_command"
                             a bag of ROS 2
-  giajax import spreadsheet.csv --rename t=time_s --ignore "note*" --to run.csv
-                            a table of known columns
+  giajax import spreadsheet.csv --rename t=time_s --ignore "note*" \\
+      --to run.csv          a table of known columns
 
 \b
 Then: giajax init --data run.csv, which offers each camera its section, and
@@ -414,8 +414,8 @@ def _files(root: Path) -> Iterator[Path]:
 @command(
     """\b
 Examples:
-  giajax cache              where it is, how many programs it holds, their size
-  giajax cache --clear      removes them; the next fit traces and compiles again""",
+  giajax cache              where it is, what it holds, and its size
+  giajax cache --clear      removes it; the next fit compiles again""",
     group="other",
 )
 def cache(clear: Annotated[bool, "Remove what is there."] = False) -> None:

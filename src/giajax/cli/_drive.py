@@ -192,7 +192,6 @@ Examples:
   giajax drive --replay pad.csv --to again.csv
                             what a pad did, as fast as it goes
 
-\b
 WHAT is the folder of a fit, or the TOML file of an arm. Sticks bend the base and
 the tip, sliders and presets any joint; where the pad, the tab or its connection
 is gone, the arm holds. The drive ends by Ctrl-C, and is saved as a run that
@@ -206,8 +205,8 @@ giajax fit reads. A pad file says what sticks and buttons do:
   presets = [{name = "up", joints = [1], angles_deg = [20], others_deg = 0}]
 
 \b
-A table of a pad has the columns time_s, axis0, axis1, ..., button0, ...; a row
-holds until the next one.""",
+A table of a pad has the columns time_s, axis0 (and axis1, and so on) and
+button0 (and so on); a row holds until the next one.""",
     group="plan",
     old={"--out": "--to"},
 )
@@ -225,7 +224,7 @@ def drive(
     latency: Annotated[float, "S", "Of the picture of the camera at the tip."] = 0.2,
     rate: Annotated[float, "HZ", "Poses a second."] = 30.0,
     steps: Annotated[int, "N", "Steps of the integrator in each.", 1] = 1,
-    to: Annotated[Path | None, "RUN.csv", "The run to write. [drive-1.csv, or -2, and so on]"] = None,
+    to: Annotated[Path | None, "RUN.csv", "The run to write. [drive-N.csv, the next N]"] = None,
     channels: Annotated[Texts, "CHANNEL", "What is recorded, as of simulate."] = None,
     noise: Annotated[Texts, "KEY=VALUE", "Standard deviation, by a key of [noise]."] = None,
     every: Annotated[int, "N", "One row in so many is recorded.", 1] = 3,
@@ -319,7 +318,6 @@ Examples:
   giajax view run.csv --no-browser --host 0.0.0.0 --port 8100
                             for a browser on another machine
 
-\b
 WHAT is a recorded or simulated run, the folder of a fit (or its result.json), or
 the TOML file of an arm. The page listens on this machine alone unless --host says
 otherwise, and opens only by its whole address, which has a token in it.""",
@@ -327,7 +325,7 @@ otherwise, and opens only by its whole address, which has a token in it.""",
     old={"--out": "--page"},
 )
 def view(
-    what: Annotated[list[Path], argument("WHAT...", "See below.")],
+    what: Annotated[list[Path], argument("WHAT", "See below.")],
     data: Annotated[Paths, "RUN.csv", "A fitted run, if it has moved."] = None,
     run: Annotated[str | None, "NAME", "Which run of a fit of several (the first)."] = None,
     rename: Renamed = None,

@@ -49,7 +49,6 @@ and keeps the best, takes out again what that makes superfluous, and asks again.
 The last fifth of each run, or each --validation run, judges the steps; the final
 model is fitted to all of --data. All other options are those of `giajax fit`.
 
-\b
 DIR holds the final result as `giajax fit` writes it, explain.json with steps,
 parameters and models that fit nearly as well, explain.html, and each fit that was
 made in DIR/fits. Ctrl-C and --budget end it with all of this for what was reached;

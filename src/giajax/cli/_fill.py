@@ -38,7 +38,7 @@ Examples:
 
 \b
 It writes
-  filling.json            when each link is full and lifts itself; all settings
+  filling.json            when each link is full and lifts itself
   filling.csv             fullness, pressure, lift and stiffness over time
   filling.png             the same as a picture
   curve.csv, curve.png    ports and supplies with which it takes 23 min
@@ -65,8 +65,9 @@ def fill(
 ) -> None:
     """Fill an arm of balloons with helium, link by link.
 
-    What each link is like on the way. Bags in a row with ports between them, fed at the base (the paper's fig. 15), and which
-    port goes with which supply where filling takes the paper's 23 minutes.
+    Says what each link is like on the way: bags in a row with ports between them, fed at the base
+    (the paper's fig. 15). And which port goes with which supply where filling takes the paper's
+    23 minutes.
     """
     from ..recordings import Definition, check_output_folder
 

@@ -557,7 +557,6 @@ does not describe the data or is doubtful; 4 something else went wrong; 130
 interrupted, 143 by SIGTERM, 129 by a terminal that hangs up (the best point
 so far is written). A second Ctrl-C ends at once.
 
-\b
 While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
 end of a budget, --resume DIR goes on from there to the same numbers.
 With --workers or --scheduler other processes fit the starts after the first

@@ -44,11 +44,11 @@ Examples:
 
 \b
 It writes
-  fig09.png, fig09.csv    contraction and force against angle, without corrections
+  fig09.png, fig09.csv    contraction and force, without corrections
   fig10.png, fig10.csv    the same with alpha and beta
   corrections.png, .csv   alpha and beta, as read and as printed (an erratum)
-  joint.png, points.csv   the joint itself at a few angles, and its lettered points
-  equilibria.png, .csv    where the pressures for an angle hold the joint, and how stiffly
+  joint.png, points.csv   the joint at a few angles, and its lettered points
+  equilibria.png, .csv    where two pressures hold the joint, and how stiffly
 
 DEFINITION is a TOML file with [joint] and [muscle] sections, such as the sidecar of a run.""",
     group="arm",
@@ -56,9 +56,7 @@ DEFINITION is a TOML file with [joint] and [muscle] sections, such as the sideca
 )
 def joint(
     out: Annotated[Path, "DIR", "Folder for pictures and numbers."],
-    definition: Annotated[
-        Path | None, argument("DEFINITION", "Its [joint] and [muscle].")
-    ] = None,
+    definition: Annotated[Path | None, argument("DEFINITION", "Its [joint] and [muscle].")] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter of joint or muscle, SI.", "--set"] = None,
     torque: Annotated[float | None, "N_M", "Torque on the joint. [default: 0.3]"] = None,
     angle: Annotated[list[float] | None, "DEG", "Draw the joint at this angle."] = None,

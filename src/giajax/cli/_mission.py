@@ -150,7 +150,7 @@ def mission(
     case: Annotated[int | None, "N", "One of --cases again, by its seed: arm and air.", 0] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter of the arm.", "--set"] = None,
     cases: Annotated[int | None, "N", "Fly so many at each of --speeds.", 1] = None,
-    speeds: Annotated[str, "M/S,...", "Of the air, for --cases."] = _SPEEDS,
+    speeds: Annotated[str, "M/S,M/S", "Of the air, for --cases."] = _SPEEDS,
     out: Annotated[Path | None, "DIR", "Write numbers and pictures there."] = None,
     as_json: Json = False,
     page: Annotated[Path | None, "FILE.html", "Write a page that plays it."] = None,
@@ -159,8 +159,9 @@ def mission(
 ) -> None:
     """Have an operator bring an arm to an opening by its camera.
 
-    The camera is at the tip. As in the paper's mock-up: gusts, joints that remember, a late picture, a time limit. Once, as
-    a run that `giajax view` plays, or many times: success against the speed of the air.
+    The camera is at the tip. As in the paper's mock-up: gusts, joints that remember, a late
+    picture, a time limit. Once, as a run that `giajax view` plays, or many times: success against
+    the speed of the air.
     """
     from ..recordings import Definition, check_output_files, check_output_folder, write_files
 
@@ -186,7 +187,8 @@ def mission(
     planned = Mission.from_definition(definition, str(file))
     planned = planned.with_model(with_settings(planned.model, values))
     if cases is not None:
-        done = fly_cases(planned, flown_at, cases, seed=seed, on_case=None if quiet else _progress())
+        on_case = None if quiet else _progress()
+        done = fly_cases(planned, flown_at, cases, seed=seed, on_case=on_case)
         if done.cases:
             tell_cases(planned, done, out, as_json=as_json, force=force, quiet=quiet)
         if len(done.cases) < cases * len(flown_at):

@@ -25,10 +25,11 @@ Examples:
   giajax mjcf giajax-out/run --to arm
                             the arm of a fit
 
+Of a file of MuJoCo it makes the [arm] of a sidecar; of an arm, or of a fit of one, a folder:
+
 \b
-Of a file of MuJoCo it makes the [arm] of a sidecar; of an arm, or of a fit of one, it writes
   arm.xml                 the chain
-  air.py, air.json        the air on it as passive forces; the text of air.py shows its use
+  air.py, air.json        the air on it as passive forces; air.py shows how
 
 Needs pip install 'giajax[mujoco]'.""",
     group="arm",

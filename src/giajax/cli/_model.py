@@ -86,10 +86,9 @@ Examples:
   giajax parameters --arm my_arm.toml
                             of your arm
   giajax parameters --json  as JSON
-  giajax fit --data run.csv --free air.drag_coefficient --free "links.mass[19]"
+  giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
                             fit some of them
 
-\b
 value: what the preset, the file or the sidecar of the run says, or else the
 default. 'off': left out of the model, at no cost; --start or --free of a fit
 switches it on, with the value listed. An array has one element for each link
@@ -231,7 +230,6 @@ Examples:
   giajax predict giajax-out/run --data other.csv --without camera,wind
                             a run with a camera and a wind of its own
 
-\b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or
 other section) states a model with all its parameters.
 --without names what another run has its own of: its sidecar states it, or it is left out.

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.process import configure
-from ..runtime.text import InputError
 from ._commands import (
     Force,
     Json,

@@ -41,12 +41,12 @@ Examples:
 
 \b
 NAME is
-  fig5      links 6, 12 and 20 after a step of the base joint, with and without air
+  fig5      links 6, 12 and 20 after a step of the base, with and without air
   fig6      the controller in the whole arm: muscles by pressures, and springs
   fig9      contraction and force of a muscle in a joint, without corrections
   fig10     the same with alpha and beta
   fig12     one link with hysteresis, without and with compensation
-  fig19     links 2, 6, 12 and 20 in models and in a stand-in for the experiment
+  fig19     links 2, 6, 12 and 20 in models, and a stand-in for the experiment
   table3    how well the models follow it: the concordance with and without
             air; with --inverse arms for which it would be as the paper prints
             it (many minutes)

@@ -73,7 +73,6 @@ Examples:
   giajax sensitivity --data run.csv --parameter joints.damping --out recorded
                             of a recorded run
 
-\b
 Without a run: the base joint to 30 deg within a second, all links filmed.
 Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.csv
 (share of each link, and the standard error with it alone).""",
@@ -105,7 +104,8 @@ def sensitivity(
 ) -> None:
     """Show when and where a motion responds to parameters.
 
-    How strongly, and what that is worth: the standard errors to expect of a fit, before anything is recorded.
+    How strongly, and what that is worth: the standard errors to expect of a fit, before anything
+    is recorded.
     """
     from ..recordings import check_output_folder, read_run
 
@@ -287,10 +287,9 @@ Examples:
   giajax simulate --command next/command.csv --to rehearsal.csv
                             rehearse it
 
-\b
 SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML
-file whose [arm] states an arm; without it the preset. Writes command.csv, which
-an operator can run, with its sidecar, design.json and design.png.""",
+file whose [arm] states an arm; without it the preset. Writes command.csv,
+which an operator can run, with its sidecar, design.json and design.png.""",
     group="plan",
     old={
         "--for": "--parameter",
@@ -303,9 +302,7 @@ an operator can run, with its sidecar, design.json and design.png.""",
 def design(
     parameter: Annotated[list[str], "PATH", "A parameter to find."],
     out: Annotated[Path, "DIR", "Folder for the files."],
-    source: Annotated[
-        Path | None, argument("SOURCE", "The arm or a fit of it; see below.")
-    ] = None,
+    source: Annotated[Path | None, argument("SOURCE", "The arm or a fit of it; see below.")] = None,
     links: Links = None,
     pairs: Settings = None,
     free: Annotated[Texts, "PATH", "What a fit will have free, too. [as the source's]"] = None,
@@ -340,7 +337,7 @@ def design(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find the command of the next experiment, and what to film of it.
+    """Find the command of the next experiment, and what to film.
 
     Within limits of angle, rate and time it most lowers the standard error of chosen parameters,
     whatever they are within their present uncertainty. Ctrl-C keeps the best so far.

@@ -296,7 +296,7 @@ Examples:
   giajax simulate --step 1=30@0.5 --step 1=0@10 --missing 10 \\
       --noise position_m=0.02 --noise angle_deg=0.5 --to run.csv
                             there and back, with noise and gaps
-  giajax simulate --command logged.csv --set air.drag_coefficient=1.0 --to run.csv
+  giajax simulate --command logged.csv --set joints.damping=0.1 --to run.csv
                             by the commands of a recording
   giajax simulate --arm my_arm.toml --ramp 2=-20@1:3 --channels all \\
       --set camera.origin=0.1,0,0 --to run.csv
@@ -304,7 +304,6 @@ Examples:
   giajax simulate --wind 0,0.2,0 --gusts 0.3:5 --coherence 12 --to run.csv
                             at rest in gusts
 
-\b
 CHANNEL is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
 'joints' (all angles) or 'all' (every link). A row is added at each corner of a
 command that no sample falls on.""",
@@ -456,7 +455,6 @@ Examples:
       --outlier-size position_m=0.5 --to new.csv
                             with outliers
 
-\b
 The run gives commands, times, columns and sidecar; any model will do. A truth
 of --set stands in [truth] of the new sidecar alone, so that a fit has something
 to find. KEY is one of the keys of [noise]: position_m, angle_deg, or a column
@@ -488,8 +486,8 @@ def synth(
 ) -> None:
     """Record a run again, with errors of your choice.
 
-    As its model or a fit predicts it, for a run of any model. Tests what a fit makes of noise, gaps, outliers and a frame that is
-    off, before the experiment does.
+    As its model or a fit predicts it, for a run of any model. Tests what a fit makes of noise,
+    gaps, outliers and a frame that is off, before the experiment does.
     """
     from ..recordings import check_output_run, read_run
 

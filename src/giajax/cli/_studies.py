@@ -17,7 +17,6 @@ from ._commands import (
     ManyProgress,
     Paths,
     Texts,
-    argument,
     print_table,
     say_written,
     write_folder,
@@ -38,12 +37,11 @@ Examples:
                             all that was free
   giajax profile giajax-out/run --parameter air.drag_coefficient
                             one parameter
-  giajax profile giajax-out/run --parameter joints.damping --level 0.68 --force
+  giajax profile giajax-out/run --level 0.68 --force
                             at another level
   giajax profile giajax-out/run --workers 2
                             in two processes
 
-\b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. Each PATH, a free parameter or a derived quantity, is held at
 values ever farther from its estimate while all others are fitted; without a
@@ -82,7 +80,8 @@ def profile(
         check_output_files([path.with_suffix(".png")], force=given.force)
     if not given.quiet:
         typer.echo("compiling ...", err=True)
-    settings = {"paths": parameter or None, "level": level, "known": None if given.force else before}
+    known = None if given.force else before
+    settings = {"paths": parameter or None, "level": level, "known": known}
     found = given.computed(profile_of, "sides of profiles", **settings)
     whole = {name: one for name, one in found.profiles.items() if one.complete}
     stopped = len(whole) < len(found.profiles)
@@ -127,7 +126,6 @@ Examples:
   giajax posterior giajax-out/run --out elsewhere
                             into another folder
 
-\b
 RESULT is the folder of a fit, or its result.json. Writes posterior.json, the
 draws for ArviZ (posterior.nc), pictures, and bands of every channel as CSV.
 Each chain has a file in posterior_chains: the same command goes on after Ctrl-C,
@@ -209,7 +207,6 @@ Examples:
   giajax bootstrap giajax-out/run --whole --size 100 --folder repetitions
                             whole fits, each kept as it is made
 
-\b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. Writes bootstrap.json and bootstrap.png beside the result, where
 giajax report finds them. Ctrl-C keeps what was done; with --folder DIR the same
@@ -231,7 +228,8 @@ def bootstrap(
 ) -> None:
     """Repeat a fit with noise drawn anew: are its errors right?
 
-    And does it come back? Bias, spread and intervals of the repetitions, and how often the 95 % interval holds the truth.
+    And does it come back? Bias, spread and intervals of the repetitions, and how often the 95 %
+    interval holds the truth.
     """
     method = "block" if block else "parametric"
     given.record("bootstrap", size=size, method=method, whole=whole, seed=seed)
@@ -273,7 +271,6 @@ Examples:
   giajax influence giajax-out/run --spans 20 --out spans
                             of shorter spans of time, into another folder
 
-\b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. Writes influence.json and influence.png beside the result, where
 giajax report finds them.""",
@@ -293,7 +290,8 @@ def influence(
 ) -> None:
     """Tell what each part of the data does to each parameter.
 
-    Parts are runs, markers, channels and spans of time. Without it, how far would the parameter move, and how large would its error be?
+    Without a run, a marker, a channel or a span of time, how far would the parameter move, and how
+    large would its error be?
     """
     given.record("influence", most=rows, exact=exact, spans=spans)
 
@@ -314,7 +312,6 @@ Examples:
   giajax suspects giajax-out/run --json
                             as JSON
 
-\b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. The most promising suspect comes first: what lowers chi-square most.
 --ladder fits the first few, takes the one whose fit has the lowest BIC, asks again,

@@ -44,7 +44,6 @@ A plan names a fit definition and what differs between its fits:
   [grid.fix]
   "links.mass" = { from = 0.04, to = 0.06, count = 5 }
 
-\b
 The same command goes on where a sweep was stopped or killed, and after the plan
 has grown. DIR/sweep.parquet has one row a fit, DIR/fits a file of each.
 
@@ -64,7 +63,8 @@ def sweep(
 ) -> None:
     """Fit one definition many times.
 
-    With other values, runs or options each time. On one core, on several (--workers), or on the machines of a cluster (--scheduler).
+    With other values, runs or options each time. On one core, on several (--workers), or on the
+    machines of a cluster (--scheduler).
     """
     from ..runtime.execution import open_executor
     from ..tasks import TABLE, Plan, sweep as sweep_plan

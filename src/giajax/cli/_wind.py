@@ -36,12 +36,11 @@ _FILES = ("wind.json", "wind.png")
 Examples:
   giajax wind --data resting.csv --wind 0,0.2,0
                             from a mean flow along y
-  giajax wind --data resting.csv --model giajax-out/run --gusts 0.3:5 --out wind
+  giajax wind --data resting.csv --model giajax-out/run --out wind
                             by the arm of a fit, with files
   giajax wind --data resting.csv --wind 0,0.2,0 --free decay --skip 60 --json
                             with the decay, without the first minute
 
-\b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states
 an arm; without it the sidecar's is taken. NAME is speed, deviation,
 length_scale (which are free), decay, heading or climb (which are held).""",
