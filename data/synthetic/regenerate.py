@@ -556,7 +556,7 @@ def command_line(name: str) -> str:
     """The command that makes a run, to be given in this folder."""
     if name in STILL:
         return "python regenerate.py"
-    return f"giajax simulate --out {name}.csv {RUNS[name][1]} {_EXACT}"
+    return f"giajax simulate --to {name}.csv {RUNS[name][1]} {_EXACT}"
 
 
 def make(name: str, out: Path, digits: int = DIGITS) -> None:
