@@ -88,7 +88,7 @@ def test_a_run_decides_the_model(capsys):
     assert joint["alpha.threshold"]["free"]
     muscle = listed(capsys, str(folder / "muscle.csv"))
     assert muscle["friction.half_width"]["elements"] == 1
-    assert main(["parameters", str(folder / "none.csv")]) == 2
+    assert main(["parameters", "--data", str(folder / "none.csv")]) == 2
     assert "does not exist" in capsys.readouterr().err
 
 
@@ -164,7 +164,7 @@ def test_a_run_shows_the_values_of_its_sidecar(capsys, tmp_path):
     }
     assert {name: facts[name]["value"] for name in expected} == expected
     assert facts["joints.damping"]["default"] == 0.05
-    assert main(["parameters", str(path)]) == 0
+    assert main(["parameters", "--data", str(path)]) == 0
     rows = {row.split()[0]: row for row in capsys.readouterr().out.splitlines()}
     for name, value in {
         "links.mass": "0.03 to 0.06", "links.length": "0.8", "gravity": "9.81",
