@@ -1,6 +1,7 @@
 """`giajax check`, and the grammar that all commands share."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -144,7 +145,7 @@ SLOW_TO_IMPORT = f"{JAX} numpy pydantic polars rich.console rich.table"
 
 @pytest.mark.parametrize("reads", [False, True])
 def test_no_command_on_files_imports_jax(run, reads):
-    commands = [f"check {run}", f"init {run}"] if reads else ["--version", "--help"]
+    commands = [f"check --data {run}", f"init --data {run}"] if reads else ["--version", "--help"]
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT, JAX if reads else SLOW_TO_IMPORT, *commands],
         capture_output=True,
@@ -179,7 +180,7 @@ def test_what_nobody_expects_is_a_sentence_and_a_file(run, tmp_path, capsys, mon
     assert err.startswith("giajax: internal error (ZeroDivisionError (")
     (file,) = tmp_path.glob("giajax-*.txt")
     assert f"report it with {file}, which has the traceback" in err
-    assert f" check {run}\n\nTraceback (most recent call last):\n" in file.read_text()
+    assert f" check --data {run}\n\nTraceback (most recent call last):\n" in file.read_text()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
     assert main(["check", "--data", str(run)]) == 4
     err = capsys.readouterr().err
@@ -212,8 +213,8 @@ def test_a_panic_of_a_library_is_a_sentence(run, tmp_path, capsys, monkeypatch):
 def test_a_list_of_commands_and_each_of_their_helps_are_there(capsys):
     """Commands that are not asked for are listed without their options; each has them itself."""
     assert main(["--help"]) == 0
-    listed = capsys.readouterr().out.split("Commands:")[1].split("Examples:")[0]
-    names = [line.split()[0] for line in listed.splitlines() if line.strip()]
+    listed = capsys.readouterr().out.split("First day:")[1].split("Examples:")[0]
+    names = re.findall(r"^  (\w+)", listed, re.MULTILINE)
     assert {"check", "fit", "init", "predict", "synth"} <= set(names)
     for name in names:
         assert main([name, "--help"]) == 0

@@ -101,7 +101,7 @@ def refused(capsys, arguments, words):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ([], "need one source: give --model"),
+        ([], "need one source: give a fit"),
         (["--loop", "a.csv", "b"], "and not both"),
         (["b", "--travel", "3"], "--travel goes with --loop: give both"),
         (["--loop", "a.csv", "--travel", "-3"], "--travel is -3: give a positive number"),

@@ -83,10 +83,10 @@ def test_an_arm_without_links(capsys):
 
 def test_a_run_decides_the_model(capsys):
     folder = Path(__file__).parents[2] / "data" / "synthetic"
-    joint = listed(capsys, str(folder / "joint.csv"))
+    joint = listed(capsys, "--data", str(folder / "joint.csv"))
     assert joint["geometry.wire_length"]["assumed"]
     assert joint["alpha.threshold"]["free"]
-    muscle = listed(capsys, str(folder / "muscle.csv"))
+    muscle = listed(capsys, "--data", str(folder / "muscle.csv"))
     assert muscle["friction.half_width"]["elements"] == 1
     assert main(["parameters", "--data", str(folder / "none.csv")]) == 2
     assert "does not exist" in capsys.readouterr().err
@@ -96,13 +96,13 @@ def test_units_of_a_loop_are_those_of_its_columns_in_si(capsys, tmp_path):
     path = tmp_path / "loop.csv"
     path.write_text("input_kPa,output_mm\n0,0\n100,2\n50,1.5\n")
     path.with_suffix(".toml").write_text('model = "hysteresis"\n')
-    facts = listed(capsys, str(path))
+    facts = listed(capsys, "--data", str(path))
     # --start and --fix take what is listed.
     assert facts["thresholds"]["value"][-1] == pytest.approx(100e3 / 2 * 10 / 11)
     units = {name: facts[name]["unit"] for name in ("thresholds", "elastic", "offset")}
     assert units == {"thresholds": "Pa", "elastic": "m/Pa", "offset": "m"}
     path.write_text("command_deg,angle_deg\n0,0\n10,2\n5,1.5\n")
-    facts = listed(capsys, str(path))
+    facts = listed(capsys, "--data", str(path))
     assert (facts["thresholds"]["unit"], facts["elastic"]["unit"]) == ("rad", "")
 
 
@@ -151,7 +151,7 @@ def test_a_run_shows_the_values_of_its_sidecar(capsys, tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(RUN)
     path.with_suffix(".toml").write_text(SIDECAR)
-    facts = listed(capsys, str(path))
+    facts = listed(capsys, "--data", str(path))
     expected = {
         "links.mass": [0.06, 0.05, 0.04, 0.03],
         "links.length": [0.8] * 4,
@@ -177,6 +177,6 @@ def test_a_run_of_another_kind_shows_the_values_of_its_sidecar(capsys, tmp_path)
     path = tmp_path / "run.csv"
     path.write_text("angle_deg,side,force_N\n1,inner,1\n")
     path.with_suffix(".toml").write_text("[joint]\nwire_length_m = 0.36\n")
-    facts = listed(capsys, str(path))
+    facts = listed(capsys, "--data", str(path))
     assert facts["geometry.wire_length"]["value"] == 0.36
     assert facts["geometry.wire_length"]["default"] == 0.34
