@@ -598,7 +598,7 @@ def test_a_loop_that_runs_down_is_turned_by_the_printed_command(tmp_path, capsys
     assert main(["check", "--data", str(path), "--strict"]) == 3
     said = capsys.readouterr().out
     assert "column 'output' falls where its input rises" in said
-    (command,) = re.findall(r"giajax (import '.*' --flip output --out turned.csv)\n", said)
+    (command,) = re.findall(r"giajax (import '.*' --flip output --to turned.csv)\n", said)
     assert main(shlex.split(command)) == 0
     assert main(["check", "--data", "turned.csv", "--strict"]) == 0
     # What it also needs: the names that check was given, and what the sidecar says.

@@ -180,7 +180,7 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
     log = write(tmp_path, "time_s,joint01_command_deg\n0,0\n0.05,10\n", "log.csv")
     film, other = write(tmp_path, DEEPLABCUT), write(tmp_path, KINOVEA, "kinovea.csv")
     first, run = tmp_path / "first.csv", tmp_path / "run.csv"
-    options = ["--rate", "50", "--point", "elbow=link03", "--point", "tip end=tip"]
+    options = ["--frame-rate", "50", "--point", "elbow=link03", "--point", "tip end=tip"]
     arguments = [str(film), *options, "--camera", "side", "--command", str(log)]
     assert main(["import", *arguments, "--to", str(first)]) == 0
     assert "3 pictures, 4 points found of 6" in capsys.readouterr().out
@@ -206,16 +206,16 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
     ("options", "says"),
     [
         ([], "DeepLabCut counts pictures: give --frame-rate"),
-        (["--rate", "50"], "no tracked point is a channel"),
-        (["--rate", "50", "--point", "nose=tip"], "there is no tracked point 'nose'"),
-        (["--rate", "50", "--point", "elbow=wrist"], "is called 'wrist', which a camera does not"),
-        (["--rate", "50", "--point", "elbow"], "--point 'elbow' must be OLD=NEW"),
-        (["--rate", "0", "--point", "elbow=tip"], "the rate is 0"),
+        (["--frame-rate", "50"], "no tracked point is a channel"),
+        (["--frame-rate", "50", "--point", "nose=tip"], "there is no tracked point 'nose'"),
+        (["--frame-rate", "50", "--point", "elbow=wrist"], "is called 'wrist', which a camera does not"),
+        (["--frame-rate", "50", "--point", "elbow"], "--point 'elbow' must be OLD=NEW"),
+        (["--frame-rate", "0", "--point", "elbow=tip"], "the rate is 0"),
         (["--origin", "5", "--point", "elbow=tip"], "must be two numbers"),
-        (["--rate", "50", "--point", "elbow=tip", "--likelihood", "1"], "no row in which"),
-        (["--rate", "50", "--likelihood", "60"], "the likelihood is 60: give a number from 0 to 1"),
-        (["--rate", "50", "--origin", "0,9"], "--origin changes nothing in this table of DeepLab"),
-        (["--rate", "50", "--point", "elbow=tip", "--point", "tip end=tip"], "are called 'tip'"),
+        (["--frame-rate", "50", "--point", "elbow=tip", "--likelihood", "1"], "no row in which"),
+        (["--frame-rate", "50", "--likelihood", "60"], "the likelihood is 60: give a number from 0 to 1"),
+        (["--frame-rate", "50", "--origin", "0,9"], "--origin changes nothing in this table of DeepLab"),
+        (["--frame-rate", "50", "--point", "elbow=tip", "--point", "tip end=tip"], "are called 'tip'"),
     ],
 )
 def test_what_an_import_must_say(tmp_path, capsys, options, says):
