@@ -2,15 +2,17 @@
 
 import io
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from giajax import ArmModel, declared, takeichi_20m
+from giajax import ArmModel, Definition, FitTask, InputError, declared, takeichi_20m
 from giajax.cli import main
 from giajax.schema.parameters import default_free, left_out
 
+SYNTHETIC = Path(__file__).resolve().parents[2] / "data" / "synthetic"
 MODEL = ArmModel(takeichi_20m())
 
 
@@ -180,3 +182,27 @@ def test_a_run_of_another_kind_shows_the_values_of_its_sidecar(capsys, tmp_path)
     facts = listed(capsys, "--data", str(path))
     assert facts["geometry.wire_length"]["value"] == 0.36
     assert facts["geometry.wire_length"]["default"] == 0.34
+
+
+# What each needs beside its name, as the error says.
+NEED_MORE = {
+    "joints.memory.nu": "choose a value strictly between 1 and 20",  # its default is a bound
+    "air.axial_coefficient": "use drag = 'strip'",
+}
+
+
+@pytest.mark.parametrize("name", ["base_step", "joint", "muscle", "joint_loops", "pixels_side"])
+def test_each_name_of_the_table_can_be_pasted_behind_free(capsys, name):
+    run = str(SYNTHETIC / f"{name}.csv")
+    assert main(["parameters", "--data", run]) == 0
+    paths = [line.split()[0] for line in capsys.readouterr().out.splitlines()[1:]]
+    assert len(paths) > 3
+    for path in paths:
+        assert shlex.split(path) == [path]
+        task = FitTask(Definition()).on_top(data=[run], free=[path], origin="the test")
+        if path in NEED_MORE:
+            with pytest.raises(InputError, match=NEED_MORE[path]):
+                task.prepare()
+        else:
+            fitted = [each.path.partition("[")[0] for each in task.prepare().setup.parameters]
+            assert path in fitted

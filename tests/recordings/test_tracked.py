@@ -208,14 +208,26 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
         ([], "DeepLabCut counts pictures: give --frame-rate"),
         (["--frame-rate", "50"], "no tracked point is a channel"),
         (["--frame-rate", "50", "--point", "nose=tip"], "there is no tracked point 'nose'"),
-        (["--frame-rate", "50", "--point", "elbow=wrist"], "is called 'wrist', which a camera does not"),
+        (
+            ["--frame-rate", "50", "--point", "elbow=wrist"],
+            "is called 'wrist', which a camera does not",
+        ),
         (["--frame-rate", "50", "--point", "elbow"], "--point 'elbow' must be OLD=NEW"),
         (["--frame-rate", "0", "--point", "elbow=tip"], "the rate is 0"),
         (["--origin", "5", "--point", "elbow=tip"], "must be two numbers"),
         (["--frame-rate", "50", "--point", "elbow=tip", "--likelihood", "1"], "no row in which"),
-        (["--frame-rate", "50", "--likelihood", "60"], "the likelihood is 60: give a number from 0 to 1"),
-        (["--frame-rate", "50", "--origin", "0,9"], "--origin changes nothing in this table of DeepLab"),
-        (["--frame-rate", "50", "--point", "elbow=tip", "--point", "tip end=tip"], "are called 'tip'"),
+        (
+            ["--frame-rate", "50", "--likelihood", "60"],
+            "the likelihood is 60: give a number from 0 to 1",
+        ),
+        (
+            ["--frame-rate", "50", "--origin", "0,9"],
+            "--origin changes nothing in this table of DeepLab",
+        ),
+        (
+            ["--frame-rate", "50", "--point", "elbow=tip", "--point", "tip end=tip"],
+            "are called 'tip'",
+        ),
     ],
 )
 def test_what_an_import_must_say(tmp_path, capsys, options, says):

@@ -187,9 +187,10 @@ def command_of(function: Callable[..., None], registered: Registered) -> type[Ty
     class Command(TyperCommand):
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
             """Translate old forms, check the words, then convert them."""
-            args, notes = renewed(self, registered, args)
-            for note in notes:
+            translation = Translation(self, registered, args)
+            for note in translation.notes:
                 typer.echo(note, err=True)
+            args = translation.words
             typed = self.make_parser(ctx).parse_args(args=list(args))[0]
             for name, value in typed.items():
                 for word in _words(value):
@@ -242,68 +243,94 @@ def old_forms(command: Any, registered: Registered) -> dict[str, tuple[str, str]
     }
 
 
-def renewed(
-    command: Any, registered: Registered, words: Sequence[str]
-) -> tuple[list[str], list[str]]:
-    """The words of a command line with its old forms translated, and a note for each of them."""
-    options = _named(command)
-    places = sum(each.nargs if each.nargs > 0 else len(words) for each in _arguments(command))
-    endings = {form.split()[0]: form for form in registered.old if " " in form}
-    found: dict[str, tuple[str, tuple[str, ...]]] = {}  # by form: as typed, and what it is now
-    given, new, behind = set(), list[str](), list[str]()
-    left, only_words, placed, quiet = list(words), False, 0, False
-    while left:
-        word = left.pop(0)
-        if word == "--" and not only_words:
-            only_words = True
-            continue
-        name, equals, value = word.partition("=")
-        if only_words or not name.startswith("-") or name == "-":
-            placed += 1
-            if placed <= places or not registered.old_words:
-                (behind if only_words else new).append(word)
-            elif "" in found and not options[registered.old_words].multiple:
-                behind.append(word)  # one too many, as it always was
+class Translation:
+    """The words of a command line, with its old forms translated.
+
+    Attributes:
+        words: those of today.
+        notes: a line for each old form.
+
+    Raises:
+        InputError: an old form is beside the new one.
+    """
+
+    def __init__(self, command: Any, registered: Registered, typed: Sequence[str]) -> None:
+        self.words: list[str] = []
+        self._behind: list[str] = []  # words behind "--", which are no options
+        self._registered, self._options = registered, _named(command)
+        counts = (each.nargs if each.nargs > 0 else len(typed) for each in _arguments(command))
+        self._places = sum(counts)  # left for arguments
+        self._named = {word.partition("=")[0] for word in typed}
+        self._given: set[str] = set()
+        self._found: dict[str, tuple[str, ...]] = {}  # old forms, and what each is now
+        left = list(typed)
+        while left:
+            word = left.pop(0)
+            name, equals, value = word.partition("=")
+            if word == "--":
+                for each in left:
+                    self._argument(each, self._behind)
+                break
+            if not name.startswith("-") or name == "-":
+                self._argument(word, self.words)
+            elif name in registered.old:
+                self._old_option(name, equals + value, left)
             else:
-                found[""] = word, (registered.old_words,)
-                new += [registered.old_words, word]
-            continue
-        quiet = quiet or name == "--quiet"
-        if name in registered.old:
-            news = registered.old[name]
-            found[name] = name, news
-            if all(each in options and options[each].is_flag for each in news):
-                new += news
-                continue
-            values = [value] if equals else left[:1]
-            del left[: 0 if equals else 1]
-            for each in news:
-                new += [*([each] if each in options else []), *values]
-            placed += sum(each not in options for each in news)
-            continue
-        given.add(name)
-        new.append(word)
-        if name in options and not options[name].is_flag:
-            if not equals:
-                value = left[0] if left else ""
-                new += left[:1]
-                del left[:1]
-            form = endings.get(name)
-            if form is not None and value.endswith(Path(form.split()[1]).suffix):
-                found[form] = name, ()
-    for typed, news in found.values():
-        for beside in given.intersection(news):
-            raise InputError(
-                f"{shown(typed)} is an old form of {beside}, which is given, too: leave one out"
-            )
-    if behind:
-        new += ["--", *behind]
-    lines = old_forms(command, registered)
-    notes = [
-        f"note: {old} is now {now}; the old form works until {OLD_FORMS_END}"
-        for old, now in (lines[form] for form in found)
-    ]
-    return new, [] if quiet else notes
+                self._option(word, name, left)
+        self.words += ["--", *self._behind] if self._behind else []
+        forms = old_forms(command, registered)
+        for form, news in self._found.items():
+            for new in self._given.intersection(news):
+                old, now = forms[form]
+                raise InputError(f"{old} is now {now}, and {new} is given, too: leave one out")
+        self.notes = [
+            f"note: {old} is now {now}; the old form works until {OLD_FORMS_END}"
+            for old, now in map(forms.__getitem__, self._found)
+        ]
+        if "--quiet" in self._given or "--quiet" in self._found:
+            self.notes = []
+
+    def _argument(self, word: str, words: list[str]) -> None:
+        """Take a word that is no option, which may be one too many as it always was."""
+        option = self._registered.old_words
+        self._places -= 1
+        again = "" in self._found and not self._options[option].multiple
+        if self._places >= 0 or not option or option in self._named or again:
+            words.append(word)
+            return
+        self._found[""] = (option,)
+        self.words += [option, word]
+
+    def _old_option(self, name: str, value: str, left: list[str]) -> None:
+        """Take an option that is called otherwise, or is an argument, or is gone."""
+        news = self._found[name] = self._registered.old[name]
+        if all(new in self._options and self._options[new].is_flag for new in news):
+            self.words += [new + value for new in news]
+            return
+        values = [value[1:]] if value else left[:1]
+        del left[: 0 if value else 1]
+        for new in news:
+            if new in self._options:
+                self.words += [new, *values]
+            else:
+                self._places -= 1
+                self.words += values
+
+    def _option(self, word: str, name: str, left: list[str]) -> None:
+        """Take an option as it is, whose value may be of an old ending."""
+        self._given.add(name)
+        self.words.append(word)
+        if name not in self._options or self._options[name].is_flag:
+            return
+        value = word.partition("=")[2]
+        if "=" not in word:
+            value = left[0] if left else ""
+            self.words += left[:1]
+            del left[:1]
+        for form in self._registered.old:
+            option, _, old_value = form.partition(" ")
+            if old_value and option == name and value.endswith(Path(old_value).suffix):
+                self._found[form] = ()
 
 
 def _type_of(hint: Any) -> Any:
