@@ -61,6 +61,12 @@ def test_json_and_a_result_with_its_suspects(folder, capsys):
     assert stored.suspects[0].p_value == first["p_value"]
     assert stored.systematic[0].path in {item["path"] for item in facts["systematic"]}
     assert load_result(folder / "fit").suspects == ()
+    # A value of --out that ends in .json is the file, as long as old forms work.
+    assert main(["suspects", str(folder / "fit"), "--json", "--out", str(folder / "old.json")]) == 0
+    again = capsys.readouterr()
+    assert again.out == printed.out
+    assert again.err.startswith("note: giajax suspects --out FILE.json is now giajax suspects --out")
+    assert (folder / "old.json").read_bytes() == (out / "suspects.json").read_bytes()
     # Nothing is written over.
     assert main(["suspects", str(folder / "fit"), "--json", "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
