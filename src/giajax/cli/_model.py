@@ -1,4 +1,4 @@
-"""`giajax parameters` and `predict`, and what `--model` names in every command alike."""
+"""`giajax parameters` and `predict`, and the model that a command is given, in all alike."""
 
 import json
 from collections.abc import Sequence
