@@ -65,7 +65,9 @@ def test_json_and_a_result_with_its_suspects(folder, capsys):
     assert main(["suspects", str(folder / "fit"), "--json", "--out", str(folder / "old.json")]) == 0
     again = capsys.readouterr()
     assert again.out == printed.out
-    assert again.err.startswith("note: giajax suspects --out FILE.json is now giajax suspects --out")
+    assert again.err.startswith(
+        "note: giajax suspects --out FILE.json is now giajax suspects --out"
+    )
     assert (folder / "old.json").read_bytes() == (out / "suspects.json").read_bytes()
     # Nothing is written over.
     assert main(["suspects", str(folder / "fit"), "--json", "--out", str(out)]) == 2

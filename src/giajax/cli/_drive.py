@@ -48,13 +48,13 @@ _GUSTY, _GUST_RATE = 1800.0, 10.0
 
 
 def driven_arm(
-    what: Path | None, links: int | None, wind: str | None
+    what: Path | None, links: int | None, wind: str | None, *, quiet: bool
 ) -> "tuple[Definition, ArmModel]":
     """What a file and the options say, and the arm: of a fit, or of a file."""
     from ..models import ArmModel
 
     if what is None or not is_result(what):
-        definition = definition_from_options(what, links, wind)
+        definition = definition_from_options(what, links, wind, quiet=quiet)
         return definition, ArmModel.stated_in(definition)
     if links is not None:
         raise InputError("--links is of an arm from a file, and this one was fitted: leave it out")
@@ -65,7 +65,7 @@ def driven_arm(
     model = load_result(what).model
     if model.kind != ArmModel.kind:
         raise InputError(f"{what} is a fit of a {model.kind}, which nobody drives: give an arm's")
-    return definition_from_options(None, None, wind), cast("ArmModel", model)
+    return definition_from_options(None, None, wind, quiet=quiet), cast("ArmModel", model)
 
 
 def wind_of(
@@ -269,7 +269,7 @@ def drive(
     from ..fitting import load_result
 
     table = None if replay is None else read_pad(replay)
-    definition, model = driven_arm(what, links, wind)
+    definition, model = driven_arm(what, links, wind, quiet=quiet)
     model = with_settings(model, values)
     count = model.arm.count
     recorded = channel_names(channels or [], count)

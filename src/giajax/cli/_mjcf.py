@@ -71,7 +71,7 @@ def mjcf(
             raise InputError("three files are written: give --to FOLDER")
         if diameter is not None:
             raise InputError("--diameter is of a file of MuJoCo, and links have one: leave it out")
-        arm = driven_arm(source, None, None)[1].arm
+        arm = driven_arm(source, None, None, quiet=quiet)[1].arm
         files, lost = export_mjcf(arm)
         contents = {name: text.encode() for name, text in files.items()}
         write_folder(to, contents, force=force)

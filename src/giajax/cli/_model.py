@@ -58,7 +58,7 @@ def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
     return model_for(runs) if path is None or not is_result(path) else load_result(path).model
 
 
-def arm_of(path: Path | None, preset: str | None = None) -> "Definition":
+def arm_of(path: Path | None, preset: str | None = None, *, quiet: bool = False) -> "Definition":
     """What the file of an arm says; a line says where neither it nor an option names a preset."""
     from ..recordings import Definition
     from ..schema import ARM, ArmSection, from_default_preset, preset_sentence
@@ -67,7 +67,7 @@ def arm_of(path: Path | None, preset: str | None = None) -> "Definition":
         return Definition()
     definition = Definition.load(path)
     taken = from_default_preset(definition.section(ArmSection))
-    if taken and preset is None and definition.model in (None, ARM.name):
+    if taken and not quiet and preset is None and definition.model in (None, ARM.name):
         typer.echo(f"note: {path}: {preset_sentence(taken)}", err=True)
     return definition
 

@@ -116,7 +116,7 @@ def sensitivity(
     if data is not None and any(value is not None and value != [] for value in again):
         raise InputError("a run brings its own arm and motion: leave out the options for them")
     recorded = None if data is None else read_run(data)
-    sections = definition_from_options(arm, links, wind)
+    sections = definition_from_options(arm, links, wind, quiet=quiet)
     replayed = replayed_run(command, sections, step or ramp)
     configure()
     from ..apps.synthetic import Drive, planned, sampled
@@ -210,6 +210,8 @@ def source_of(
     free: list[str],
     solver: str,
     tolerance: float,
+    *,
+    quiet: bool = False,
 ) -> tuple["ArmModel | FitResult", dict[str, Any]]:
     """The arm or the fit, and what a file says of what is free, priors, ties and the start.
 
@@ -229,7 +231,7 @@ def source_of(
         return dataclasses.replace(fitted, model=model), {**known, "definition": _kept(first)}
     from ..recordings import read_sidecar
 
-    definition = definition_from_options(source, links, None)
+    definition = definition_from_options(source, links, None, quiet=quiet)
     fit = definition.fit
     if source is not None and fit.data:
         # What a fit definition does not say of the arm, the sidecar of its first run does.
@@ -357,7 +359,7 @@ def design(
 
     largest = (math.radians(max_angle), math.radians(max_angle_rate))
     limits = Limits(moving, *largest, duration, rate)
-    given, known = source_of(source, links, values, free or [], solver, tolerance)
+    given, known = source_of(source, links, values, free or [], solver, tolerance, quiet=quiet)
     names = channel_names(channels or ["all"], joint_count(given))
     found = design_experiment(
         given,

@@ -156,12 +156,14 @@ _MOVE = re.compile(
 )
 
 
-def definition_from_options(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
+def definition_from_options(
+    arm: Path | None, links: int | None, wind: str | None, *, quiet: bool
+) -> "Definition":
     """What the arm file and the options say, the options on top."""
     from ..recordings import Definition
     from ..schema import ARM
 
-    definition = arm_of(arm)
+    definition = arm_of(arm, quiet=quiet)
     if definition.model not in (None, ARM.name):
         raise InputError(f"{arm} describes a {definition.model}: give the TOML file of an arm")
     if links is not None:
@@ -360,7 +362,7 @@ def simulate(
     check_tolerance(tolerance)
     section = noise_section(noise, "--noise")
     check_output_run(to, force=force)
-    definition = definition_from_options(arm, links, wind)
+    definition = definition_from_options(arm, links, wind, quiet=quiet)
     replayed = replayed_run(command, definition, step or ramp)
     configure()
     from ..apps.synthetic import Drive, sampled, synthesise
