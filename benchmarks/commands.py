@@ -55,8 +55,8 @@ class Command:
 
 
 COMMANDS = {
-    "check": Command(f"check {RUN}"),
-    "simulate": Command("simulate --ramp 1=30 --out {out}/run.csv --force"),
+    "check": Command(f"check --data {RUN}"),
+    "simulate": Command("simulate --ramp 1=30 --to {out}/run.csv --force"),
     "fit": Command("fit fits/base_step.toml --out {out} --force"),
     "fit of joints that remember": Command(
         "fit fits/independent_friction.toml --no-figures --out {out} --force", 20.0
@@ -70,12 +70,12 @@ COMMANDS = {
         "--channels link04 --channels link08 --channels link12 --channels tip "
         "--set joints.memory.strength=0.05 --set joints.memory.yield_angle=0.005 "
         "--wind 0,0.05,0.02 --set camera.rotation=0,0.03,0 --set camera.delay=0.08 "
-        "--noise position_m=0.01 --out {made}/run.csv",
+        "--noise position_m=0.01 --to {made}/run.csv",
     ),
-    "suspects": Command("suspects {fit} --out {out}/suspects.json --force"),
-    "influence": Command("influence {fit} --out {out}/influence.json --force"),
-    "predict": Command(f"predict --model {{fit}} --data {RUN} --out {{out}}/table.csv --force"),
-    "report": Command("report {fit} --out {out}/report.html --force"),
+    "suspects": Command("suspects {fit} --out {out} --force"),
+    "influence": Command("influence {fit} --out {out} --force"),
+    "predict": Command(f"predict {{fit}} --data {RUN} --to {{out}}/table.csv --force"),
+    "report": Command("report {fit} --page {out}/report.html --force"),
     "joint": Command("joint --out {out} --force"),
     "fill": Command("fill --out {out} --force"),
     "mission": Command("mission missions/naraha.toml --out {out} --force", 10.0),
@@ -83,9 +83,9 @@ COMMANDS = {
         "wind --data {made}/resting.csv --wind 0,0.3,0.075 --highest 0.5 --out {out} --force",
         20.0,
         f"simulate --links 6 {AIR} --duration 630 --rate 5 --channels all "
-        "--noise position_m=0.001 --out {made}/resting.csv",
+        "--noise position_m=0.001 --to {made}/resting.csv",
     ),
-    "design": Command("design {fit} --for air.drag_coefficient --out {out} --force", 60.0),
+    "design": Command("design {fit} --parameter air.drag_coefficient --out {out} --force", 60.0),
     "posterior": Command("posterior {fit} --out {out} --force", 180.0),
 }
 QUICK = ("check", "fit")

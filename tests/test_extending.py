@@ -79,7 +79,7 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
     # The script has asked for the suspects of the law; workers import a plug-in, too.
     commands = {
         "cauchy_loss": [report, (*fit, "--loss", "CauchyLoss")],
-        "coffee_filter": [*COFFEE_FILTER, ("init", "filter.csv", "--force")],
+        "coffee_filter": [*COFFEE_FILTER, ("init", "--data", "filter.csv", "--force")],
     }
     words = [[*each, "--plugin", str(plugin)] for each in commands.get(name, [report, fit])]
     # In another process than the script, all in one: it imports JAX once.
@@ -91,7 +91,7 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
     assert main(["report", folder, "--force"]) == 2
     assert f"it was made with {name}.py: give --plugin {name}.py" in capsys.readouterr().err
     if name == "coffee_filter":
-        assert main(["check", "filter.csv"]) == 2
+        assert main(["check", "--data", "filter.csv"]) == 2
         said = capsys.readouterr().err
         assert "or a registered model: correct it, give --plugin FILE.py" in said
 

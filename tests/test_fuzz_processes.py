@@ -48,7 +48,7 @@ def command(folder, name, rng):
     return {
         "fit.toml": ["fit", "fit.toml", "--no-figures", "--out", "out", "--max-iterations", "1"],
         "result.json": ["suspects", "result.json", "--data", "run.csv"],
-    }.get(name, ["check", "run.csv"])
+    }.get(name, ["check", "--data", "run.csv"])
 
 
 # A process of its own: the memory of a child counts from that of the process which starts it, and

@@ -94,28 +94,28 @@ TEXTS = {
 
 # Commands, and the files of each that are damaged.
 COMMANDS = {
-    "check run.csv --json": ["run.csv", "run.toml"],
-    "check run.csv --strict --rename force_N=force_mN": ["run.csv", "run.toml"],
-    "init bare.csv": ["bare.csv"],
-    "import film.csv --rate 50 --point elbow=link03 --point end=tip --commands log.csv --out o.csv"
-    " --force": ["film.csv", "log.csv"],
-    "import tracks.csv --kinovea-origin 0,10 --point m=tip --out o.csv --force": ["tracks.csv"],
-    **{f"import {name} {how} --out o.csv --force": [name] for name, how in FOREIGN.items()},
-    "import bag.mcap --point /tip=tip --out o.csv --force": ["bag.mcap"],
-    "import bag --point /joint_states/elbow=joint02 --out o.csv --force": [
+    "check --data run.csv --json": ["run.csv", "run.toml"],
+    "check --data run.csv --strict --rename force_N=force_mN": ["run.csv", "run.toml"],
+    "init --data bare.csv": ["bare.csv"],
+    "import film.csv --frame-rate 50 --point elbow=link03 --point end=tip --command log.csv"
+    " --to o.csv --force": ["film.csv", "log.csv"],
+    "import tracks.csv --origin 0,10 --point m=tip --to o.csv --force": ["tracks.csv"],
+    **{f"import {name} {how} --to o.csv --force": [name] for name, how in FOREIGN.items()},
+    "import bag.mcap --point /tip=tip --to o.csv --force": ["bag.mcap"],
+    "import bag --point /joint_states/elbow=joint02 --to o.csv --force": [
         "bag/bag.db3",
         "bag/metadata.yaml",
     ],
-    "parameters run.csv": ["run.csv", "run.toml"],
+    "parameters --data run.csv": ["run.csv", "run.toml"],
     "parameters --arm arm.toml": ["arm.toml"],
     f"fit run_fit.toml --out f {FAST}": ["run_fit.toml", "run.csv", "run.toml"],
     f"fit --again kept/fit --out f {FAST}": ["kept/fit/result.json", "kept/run.csv"],
     f"fit --data run.csv --from fit --out f {FAST}": ["fit/result.json"],
     "fit --resume study/half --no-figures --quiet": ["study/half/journal.jsonl"],
     "sweep plan.toml --dry-run": ["plan.toml", "run_fit.toml"],
-    "synth run.csv --out n.csv --force": ["run.csv", "run.toml"],
-    "predict --model fit --data run.csv": ["fit/result.json", "run.csv", "run.toml"],
-    "predict --model fit --against fit --data run.csv --config run_fit.toml": ["run_fit.toml"],
+    "synth --data run.csv --to n.csv --force": ["run.csv", "run.toml"],
+    "predict fit --data run.csv": ["fit/result.json", "run.csv", "run.toml"],
+    "predict fit --against fit --data run.csv --config run_fit.toml": ["run_fit.toml"],
     "compare fit other": ["other/result.json"],
     "report fit --force": [
         *("fit/result.json", "fit/influence.json", "fit/profiles.json", "fit/bootstrap.json"),
@@ -124,33 +124,31 @@ COMMANDS = {
     "influence fit --force": ["fit/result.json"],
     "profile fit --quiet": ["fit/result.json", "fit/profiles.json"],
     "bootstrap fit --size 2 --folder tasks --force --quiet": ["fit/result.json"],
-    "choose --data loops.csv --only play --quiet": ["loops.csv", "loops.toml"],
-    "compensate --model loops --target target.csv --out c.csv --force": [
+    "choose --data loops.csv --only play": ["loops.csv", "loops.toml"],
+    "compensate loops --target target.csv --to c.csv --force": [
         "loops/result.json",
         "target.csv",
     ],
-    "drive arm.toml --replay pad.csv --pad pad.toml --out d.csv --force": [
+    "drive arm.toml --replay pad.csv --pad pad.toml --to d.csv --force": [
         "pad.csv",
         "pad.toml",
         "arm.toml",
     ],
-    "view arm.toml --out v.html --force": ["arm.toml"],
-    "mjcf robot.xml --out r.toml --force": ["robot.xml"],
-    "simulate --arm arm.toml --duration 0.2 --out s.csv --force": ["arm.toml"],
+    "view arm.toml --page v.html --force": ["arm.toml"],
+    "mjcf robot.xml --to r.toml --force": ["robot.xml"],
+    "simulate --arm arm.toml --duration 0.2 --to s.csv --force": ["arm.toml"],
     "fill filling.toml --no-curve --json": ["filling.toml"],
     "mission mission.toml --json": ["mission.toml"],
     "wind --data resting.csv --wind 0,0.5,0.2": ["resting.csv", "resting.toml"],
-    "joint --out j --force --definition joint.toml": ["joint.toml"],
-    "sensitivity run.csv --parameter muscle.effectiveness --out s --force": ["run.csv"],
-    "design arm.toml --for air.drag_coefficient --out d --force --duration 1": ["arm.toml"],
-    "explain --config run_fit.toml --out e --force --max-steps 1 --no-figures --quiet": [
-        "run_fit.toml"
-    ],
-    "check flat.parquet --json": ["flat.parquet"],
+    "joint joint.toml --out j --force": ["joint.toml"],
+    "sensitivity --data run.csv --parameter muscle.effectiveness --out s --force": ["run.csv"],
+    "design arm.toml --parameter air.drag_coefficient --out d --force --duration 1": ["arm.toml"],
+    "explain run_fit.toml --out e --force --max-steps 1 --no-figures --quiet": ["run_fit.toml"],
+    "check --data flat.parquet --json": ["flat.parquet"],
     "posterior fit --chains 1 --draws 8 --out p --force --quiet": ["fit/result.json"],
     "hysteresis --out h --travel 40 --seed 1 --force --quiet": ["a word"],
-    "simulate --arm arm.toml --command log.csv --out s.csv --force": ["log.csv"],
-    "view resting.csv --out v.html --force": ["resting.csv", "resting.toml"],
+    "simulate --arm arm.toml --command log.csv --to s.csv --force": ["log.csv"],
+    "view resting.csv --page v.html --force": ["resting.csv", "resting.toml"],
     "explain --resume explained --max-steps 1 --no-figures --quiet": [
         "explained/explain.jsonl",
         "explained/fits/first.json",
@@ -217,7 +215,7 @@ def home(tmp_path_factory):
         words = "--no-figures --quiet"
         for command in (
             *(f"{study} {words} fit" for study in ("influence", "profile", "bootstrap --size=2")),
-            f"explain --config run_fit.toml --out explained --max-steps 1 {words}",
+            f"explain run_fit.toml --out explained --max-steps 1 {words}",
         ):  # fmt: skip
             status, _, err = ended(command.split())
             assert status in (0, 1), (command, err)
@@ -712,7 +710,7 @@ def a_lie(read, *given, **named):
 def test_each_check_can_fail(home, tmp_path, compiling, monkeypatch, reader, broken, says):
     """A reader that is broken in one way is found by a case that it reads."""
     monkeypatch.setattr(f"{__name__}.MOST_BYTES", 1 << 26)
-    command = PAIRS.index(("check run.csv --json", "run.csv"))
+    command = PAIRS.index(("check --data run.csv --json", "run.csv"))
     seeds = itertools.count(command, len(PAIRS))
     seed = next(n for n in seeds if not try_one(n, home, tmp_path / f"{n}", compiling)[0])
     holder, _, name = reader.rpartition(".")

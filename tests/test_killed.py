@@ -35,11 +35,11 @@ STUDIES = {
     "profile": ("profile fit --folder tasks --no-figures", "tasks"),
     "posterior": ("posterior fit --chains 3 --draws 8 --warmup 4 --out out --force", "out"),
     "design": (
-        "design arm.toml --for air.drag_coefficient --out out --force --duration 0.5 --rate 8"
+        "design arm.toml --parameter air.drag_coefficient --out out --force --duration 0.5 --rate 8"
         " --channels tip",
         "nothing",
     ),
-    "drive": ("drive arm.toml --replay pad.csv --out run-2.csv --force", "run-2-unfinished.csv"),
+    "drive": ("drive arm.toml --replay pad.csv --to run-2.csv --force", "run-2-unfinished.csv"),
 }
 # A server that has imported everything forks a process for each moment: JAX has no threads yet.
 SERVER = multiprocessing.get_context("forkserver" if os.name == "posix" else None)

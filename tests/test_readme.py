@@ -139,8 +139,8 @@ def commands():
 
 
 @pytest.mark.quick
-def test_the_commands_of_the_pages_are_there_with_their_options():
-    """Each is parsed as the command line would, and nothing is run."""
+def test_the_commands_of_the_pages_are_there_with_their_options(capsys):
+    """Each is parsed as the command line would, and nothing is run; none is an old form."""
     shown = [(page, line) for page, line in commands() if not line.startswith("columns")]
     assert len(shown) > 60
     for page, line in shown:
@@ -152,6 +152,7 @@ def test_the_commands_of_the_pages_are_there_with_their_options():
             command.make_context(words[0], words[1:])
         except Exception as error:
             pytest.fail(f"{page}: giajax {line}: {error}")
+        assert capsys.readouterr().err == "", page
 
 
 @pytest.mark.quick

@@ -185,7 +185,7 @@ def test_what_lies_beside_a_result_is_read(tmp_path, monkeypatch):
     rows = [{**row, **new} for row in record("suspected.json")["suspects"]]
     assert json.loads(suspected.to_json())["suspects"] == rows
     assert suspected.suspects
-    assert main(["report", "fit", "--out", "page.html", "--quiet"]) == 0
+    assert main(["report", "fit", "--page", "page.html", "--quiet"]) == 0
     headings = Page(Path("page.html").read_bytes()).headings
     assert {"profiles", "suspects", "repetitions", "influence", "posterior"} <= set(headings)
 
@@ -211,7 +211,7 @@ def test_other_commands_write_the_same_again(tmp_path, monkeypatch):
         assert main([*command.split(), "--force"]) == 0
         # Tests optimise programs less than commands do, which rounds otherwise.
         assert_near(record(f"again/{Path(path).name}"), record(path), near=1e-5)
-    words = "drive drive/arm.toml --replay drive/pad.csv --noise position_m=0.01 --out again.csv"
+    words = "drive drive/arm.toml --replay drive/pad.csv --noise position_m=0.01 --to again.csv"
     assert main(words.split()) == 0
     before = read_run("drive/drive.csv")
     for name, values in read_run("again.csv").values.items():

@@ -556,7 +556,7 @@ def command_line(name: str) -> str:
     """The command that makes a run, to be given in this folder."""
     if name in STILL:
         return "python regenerate.py"
-    return f"giajax simulate --out {name}.csv {RUNS[name][1]} {_EXACT}"
+    return f"giajax simulate --to {name}.csv {RUNS[name][1]} {_EXACT}"
 
 
 def make(name: str, out: Path, digits: int = DIGITS) -> None:
@@ -567,7 +567,7 @@ def make(name: str, out: Path, digits: int = DIGITS) -> None:
         facts = {"definition": run.definition, "units": UNITS.get(name), "digits": digits}
         write_run(out, run.times, run.values, **facts, force=True)
         return
-    more = ["--digits", str(digits), "--out", str(out), "--force"]
+    more = ["--digits", str(digits), "--to", str(out), "--force"]
     words = [*shlex.split(command_line(name))[1:], *more]
     said = io.StringIO()
     with contextlib.chdir(HERE), contextlib.redirect_stdout(said):

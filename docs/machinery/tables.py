@@ -16,6 +16,8 @@ from pathlib import Path
 import equinox as eqx
 
 import giajax
+from giajax.cli._app import old_forms
+from giajax.cli._commands import OLD_FORMS_END
 from giajax.mechanics.joint import EmpiricalMuscle, Friction, Joint, Piston
 from giajax.schema import KINDS, FillingSection
 
@@ -86,6 +88,14 @@ def _keys() -> Iterator[str]:
                 yield f"| `{name}.{key}` | {paths} | {value} | {field.description} |"
 
 
+def _old_forms() -> Iterator[str]:
+    """A row for each old form of the command line."""
+    yield "| earlier | now | until |"
+    yield "| --- | --- | --- |"
+    for old, new in old_forms():
+        yield f"| `{old}` | `{new}` | {OLD_FORMS_END} |"
+
+
 def _files(room: str) -> Iterator[str]:
     """A row for each file of a room, by the first sentence of its docstring."""
     yield "| file | what it has |"
@@ -107,6 +117,7 @@ TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "filling keys": _filling_keys,
     "channels": _channels,
     "keys": _keys,
+    "old forms": _old_forms,
     **{f"files {room}": functools.partial(_files, room) for room in ROOMS},
 }
 """What makes the rows of each table, by its name."""

@@ -119,7 +119,7 @@ def test_bad_recordings(tmp_path, capsys, case):
         read_run(path)
     line = f"giajax: {caught.value}\n"
     if case in BY_COMMAND:
-        assert main(["check", str(path)]) == 2
+        assert main(["check", "--data", str(path)]) == 2
         assert capsys.readouterr() == ("", line)
     assert line.count("\n") == 1
     assert "run." in line
@@ -132,9 +132,9 @@ def test_bad_recordings(tmp_path, capsys, case):
 
 def test_a_directory_and_another_kind_of_file(tmp_path, capsys):
     (tmp_path / "runs.csv").mkdir()
-    assert main(["check", str(tmp_path / "runs.csv")]) == 2
+    assert main(["check", "--data", str(tmp_path / "runs.csv")]) == 2
     assert "is a directory" in capsys.readouterr().err
-    assert main(["check", str(tmp_path / "run.xlsx")]) == 2
+    assert main(["check", "--data", str(tmp_path / "run.xlsx")]) == 2
     assert ".csv or .parquet" in capsys.readouterr().err
 
 
@@ -142,6 +142,6 @@ def test_a_directory_and_another_kind_of_file(tmp_path, capsys):
 def test_a_model_that_is_not_there(tmp_path, capsys, model):
     run = tmp_path / "run.csv"
     run.write_text("time_s,joint01_command_deg,link01_z_m\n0,0,0\n1,1,1\n")
-    assert main(["predict", "--model", str(tmp_path / model), "--data", str(run)]) == 2
+    assert main(["predict", str(tmp_path / model), "--data", str(run)]) == 2
     error = capsys.readouterr().err
     assert f"{model} does not exist: give the folder of a fit, its result.json, or a TOML" in error

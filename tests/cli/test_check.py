@@ -1,6 +1,7 @@
 """`giajax check`, and the grammar that all commands share."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -23,7 +24,7 @@ def run(tmp_path):
 
 
 def test_check_says_what_a_file_holds(run, capsys):
-    assert main(["check", str(run)]) == 0
+    assert main(["check", "--data", str(run)]) == 0
     out, err = capsys.readouterr()
     assert err == ""
     lines = out.splitlines()
@@ -35,14 +36,14 @@ def test_check_says_what_a_file_holds(run, capsys):
 
 
 def test_check_prints_json(run, capsys):
-    assert main(["check", str(run), "--json"]) == 0
+    assert main(["check", "--data", str(run), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["model"], facts["rows"]) == ("arm", 3)
 
 
 def test_check_renames(run, capsys):
     run.write_text(CSV.replace("time_s", "t=s").replace("link06_z_m", "z"))
-    arguments = ["check", str(run), "--rename", "t=s=time_s", "--rename", "z=link07_z_m"]
+    arguments = ["check", "--data", str(run), "--rename", "t=s=time_s", "--rename", "z=link07_z_m"]
     assert main(arguments) == 0
     assert "link07_z" in capsys.readouterr().out
 
@@ -50,16 +51,22 @@ def test_check_renames(run, capsys):
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        ([], ["missing argument"]),
-        (["{run}", "extra"], ["extra"]),
-        (["{run}", "--jsn"], ["--jsn"]),
-        (["{run}", "--rename"], ["--rename"]),
-        (["{run}", "--rename", "z"], ["'z'", "OLD=NEW"]),
-        (["{run}", "--rename", "=z"], ["'=z'", "OLD=NEW"]),
-        (["{run}", "--rename", "q=tip_x_m"], ["no column 'q'"]),
-        (["{run}", "--rename", "link06_z_m=tip_x_m", "--rename", "link06_z_m=tip_y_m"], ["twice"]),
-        (["{run}", "--rename", "link06_z_m=time_s"], ["'time_s' is given twice"]),
-        (["{run}", "--rename", "link06_z_m=hight"], ["'hight' is not in the column table"]),
+        ([], ["missing option '--data'"]),
+        (["--data", "{run}", "extra"], ["extra"]),
+        (["--data", "{run}", "--jsn"], ["--jsn"]),
+        (["--data", "{run}", "--rename"], ["--rename"]),
+        (["--data", "{run}", "--rename", "z"], ["'z'", "OLD=NEW"]),
+        (["--data", "{run}", "--rename", "=z"], ["'=z'", "OLD=NEW"]),
+        (["--data", "{run}", "--rename", "q=tip_x_m"], ["no column 'q'"]),
+        (
+            ["--data", "{run}", "--rename", "link06_z_m=tip_x_m", "--rename", "link06_z_m=tip_y_m"],
+            ["twice"],
+        ),
+        (["--data", "{run}", "--rename", "link06_z_m=time_s"], ["'time_s' is given twice"]),
+        (
+            ["--data", "{run}", "--rename", "link06_z_m=hight"],
+            ["'hight' is not in the column table"],
+        ),
     ],
 )
 def test_wrong_usage_is_one_line(run, capsys, arguments, parts):
@@ -99,7 +106,7 @@ def test_an_interruption_has_its_own_status(run, capsys, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("giajax.recordings.read_run", interrupt)
-    assert main(["check", str(run)]) == 130
+    assert main(["check", "--data", str(run)]) == 130
     assert capsys.readouterr().err == "giajax: interrupted\n"
 
 
@@ -117,7 +124,7 @@ def test_a_file_that_the_system_refuses_is_one_sentence(run, capsys, monkeypatch
 def test_what_a_file_says_commands_no_terminal(tmp_path, capsys):
     film = tmp_path / "film.csv"
     film.write_text("scorer,a,a\nbodyparts,\x1b[2J\x07end,\x1b[2J\x07end\ncoords,x,y\n0,1,2\n")
-    assert main(["import", str(film), "--frame-rate", "9", "--out", str(tmp_path / "o.csv")]) == 2
+    assert main(["import", str(film), "--frame-rate", "9", "--to", str(tmp_path / "o.csv")]) == 2
     assert "\\x1b[2J\\x07end" in capsys.readouterr().err
 
 
@@ -138,7 +145,7 @@ SLOW_TO_IMPORT = f"{JAX} numpy pydantic polars rich.console rich.table"
 
 @pytest.mark.parametrize("reads", [False, True])
 def test_no_command_on_files_imports_jax(run, reads):
-    commands = [f"check {run}", f"init {run}"] if reads else ["--version", "--help"]
+    commands = [f"check --data {run}", f"init --data {run}"] if reads else ["--version", "--help"]
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT, JAX if reads else SLOW_TO_IMPORT, *commands],
         capture_output=True,
@@ -152,7 +159,7 @@ def test_a_closed_pipe_is_no_complaint(run):
     # The reading end is closed before anything is written.
     code = "import sys, time; time.sleep(0.3); from giajax.cli import main; sys.exit(main())"
     process = subprocess.Popen(
-        [sys.executable, "-c", code, "check", str(run)],
+        [sys.executable, "-c", code, "check", "--data", str(run)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
@@ -167,21 +174,21 @@ def test_a_closed_pipe_is_no_complaint(run):
 def test_what_nobody_expects_is_a_sentence_and_a_file(run, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("giajax.recordings.describe", lambda run: 1 / 0)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert main(["check", str(run)]) == 4
+    assert main(["check", "--data", str(run)]) == 4
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert err.startswith("giajax: internal error (ZeroDivisionError (")
     (file,) = tmp_path.glob("giajax-*.txt")
     assert f"report it with {file}, which has the traceback" in err
-    assert f" check {run}\n\nTraceback (most recent call last):\n" in file.read_text()
+    assert f" check --data {run}\n\nTraceback (most recent call last):\n" in file.read_text()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
-    assert main(["check", str(run)]) == 4
+    assert main(["check", "--data", str(run)]) == 4
     err = capsys.readouterr().err
     assert err.startswith("Traceback (most recent call last):\n")
     assert "which cannot be written to a file (No such file or directory)" in err
     # What a signal raised, as a foreign library passes it on.
     monkeypatch.setattr("giajax.cli._commands.is_stopped", lambda: True)
-    assert main(["check", str(run)]) == 130
+    assert main(["check", "--data", str(run)]) == 130
     assert capsys.readouterr().err == "giajax: interrupted\n"
 
 
@@ -196,7 +203,7 @@ def test_a_panic_of_a_library_is_a_sentence(run, tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr("giajax.recordings.describe", panic)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert main(["check", str(run)]) == 4
+    assert main(["check", "--data", str(run)]) == 4
     assert "internal error (PanicException (test_check.py, line " in capsys.readouterr().err
     monkeypatch.setattr("os.getcwd", panic)
     (outcome,) = run_tasks([Task("os:getcwd")])
@@ -206,8 +213,8 @@ def test_a_panic_of_a_library_is_a_sentence(run, tmp_path, capsys, monkeypatch):
 def test_a_list_of_commands_and_each_of_their_helps_are_there(capsys):
     """Commands that are not asked for are listed without their options; each has them itself."""
     assert main(["--help"]) == 0
-    listed = capsys.readouterr().out.split("Commands:")[1].split("Examples:")[0]
-    names = [line.split()[0] for line in listed.splitlines() if line.strip()]
+    listed = capsys.readouterr().out.split("First day:")[1].split("Examples:")[0]
+    names = re.findall(r"^  (\w+)", listed, re.MULTILINE)
     assert {"check", "fit", "init", "predict", "synth"} <= set(names)
     for name in names:
         assert main([name, "--help"]) == 0

@@ -99,7 +99,7 @@ def test_a_table_and_a_page(folder, tmp_path, capsys):
     hostile = tmp_path / "<script>alert(1)<b>"
     shutil.copytree(folder / "held", hostile)
     out = tmp_path / "compare.html"
-    command = ["compare", str(folder / "free"), str(hostile), "--out", str(out)]
+    command = ["compare", str(folder / "free"), str(hostile), "--page", str(out)]
     assert main(command) == 0
     printed = capsys.readouterr().out
     assert "1.5 (held)" in printed
@@ -122,13 +122,13 @@ def test_what_agrees_is_good_and_nothing_in_common_is_not(folder, tmp_path, caps
         shutil.copytree(folder / "free", tmp_path / name)
     page = tmp_path / "page.html"
     again = [str(tmp_path / "run_v1.2"), str(tmp_path / "run_v1.3")]
-    assert main(["compare", *again, "--out", str(page)]) == 0
+    assert main(["compare", *again, "--page", str(page)]) == 0
     assert "run_v1.3 - run_v1.2" in capsys.readouterr().out
     parsed = Page(page.read_bytes())
     assert ("section", "verdict good") in [(tag, of.get("class")) for tag, of in parsed.tags]
     assert "No parameter that both determine differs" in parsed.text
     joint = Path(__file__).resolve().parents[1] / "earlier" / "joint"
-    assert main(["compare", again[0], str(joint), "--out", str(page), "--force"]) == 0
+    assert main(["compare", again[0], str(joint), "--page", str(page), "--force"]) == 0
     parsed = Page(page.read_bytes())
     assert ("section", "verdict doubtful") in [(tag, of.get("class")) for tag, of in parsed.tags]
     assert "so nothing is compared" in parsed.text

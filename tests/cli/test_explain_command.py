@@ -47,7 +47,7 @@ def test_steps_parameters_files_and_a_page(explained):
     assert "What the data ask for" in page
     assert "Content-Security-Policy" in page
     # What is left of it is a result for all other commands.
-    status, _, _ = giajax("predict", "--model", folder, "--data", folder.parent / "muscle.csv")
+    status, _, _ = giajax("predict", folder, "--data", folder.parent / "muscle.csv")
     assert status == 0
     assert all(load_result(path) for path in (folder / "fits").glob("*.json"))
 
@@ -61,7 +61,7 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
     (folder / "explain.jsonl").write_text("\n".join(lines[:4]) + "\n")
     for name in ("explain.json", "explain.html", "result.json"):
         (folder / name).unlink()
-    asked = ("explain", "--resume", folder, "--no-figures", "--no-page", "--quiet")
+    asked = ("explain", "--resume", folder, "--no-figures", "--no-report", "--quiet")
     assert giajax(*asked) == (0, "", "")
     assert (folder / "explain.json").read_bytes() == whole
     # What the journal had is not fitted again: there is one fit more, the one that it had lost.
@@ -111,7 +111,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
     monkeypatch.chdir(tmp_path)
     Path("why/fits").mkdir(parents=True)
     Path("why/fits/sweep.json").write_text("of a sweep")
-    asked = ("explain", "--data", "muscle.csv", "--out", "why", "--no-figures", "--no-page")
+    asked = ("explain", "--data", "muscle.csv", "--out", "why", "--no-figures", "--no-report")
     asked = (*asked, "--fix", "muscle.end_correction=1.5", "--max-steps", "0", "--quiet")
     status, _, error = giajax(*asked)
     assert status == 2
@@ -120,7 +120,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
         without.setattr("giajax.report._pages._NEEDED", ("markdown_of_nobody",))
         status, _, error = giajax(*asked[:5])
         assert status == 2
-        assert "pip install 'giajax[report]', or leave the page out with --no-page" in error
+        assert "pip install 'giajax[report]', or leave the page out with --no-report" in error
     # The first fit is stopped, and there is nothing to go on with.
     status, _, error = giajax(*asked, "--force", "--budget", "0.001s")
     assert status == 1
@@ -132,7 +132,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
     assert Path("why/fits/sweep.json").read_text() == "of a sweep"
     Path("elsewhere").mkdir()
     monkeypatch.chdir("elsewhere")
-    again = ("explain", "--resume", "../why", "--no-figures", "--no-page", "--quiet")
+    again = ("explain", "--resume", "../why", "--no-figures", "--no-report", "--quiet")
     assert giajax(*again) == (0, "", "")
     assert Path("../why/explain.json").read_bytes() == whole
     status, _, error = giajax(*again, "--force")
@@ -161,7 +161,7 @@ def test_a_turned_camera_and_a_wind_are_found_beside_what_is_always_uncertain(tm
     )
     path = write_run(tmp_path / "run.csv", run.times, run.values, definition=run.definition)
     start = [word for each in START.items() for word in ("--start", "{}={}".format(*each))]
-    options = ("--out", tmp_path / "why", "--no-figures", "--no-page", "--tries", "2", "--quiet")
+    options = ("--out", tmp_path / "why", "--no-figures", "--no-report", "--tries", "2", "--quiet")
     status, _, error = giajax("explain", "--data", path, *start, *options)
     assert (status, error) == (0, "")
     record = json.loads((tmp_path / "why" / "explain.json").read_text())

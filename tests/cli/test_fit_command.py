@@ -149,7 +149,7 @@ def test_the_files_it_writes(fitted):
     predicted = read_run(folder / "prediction.csv")
     for name, values in load_result(folder).predict(run).items():
         assert np.allclose(predicted.observations[name], values, rtol=1e-8, atol=1e-12)
-    status, out, _ = giajax("check", folder / "prediction.csv")
+    status, out, _ = giajax("check", "--data", folder / "prediction.csv")
     assert status == 0
     assert "link04_z" in out
 
@@ -414,10 +414,9 @@ BAD = {
     "unknown option": (CSV, "", ["--fre", "joints.damping"], ["--fre"]),
     "a folder that is a file": (CSV, "", ["--out", "run.csv"], ["is a file"]),
     "a run of another arm": (CSV, "[arm]\nlinks = 4", ["--data", "other.csv"], ["disagree"]),
-    "no such definition": (CSV, "", ["--config", "none.toml"], ["none.toml"]),
+    "no such definition": (CSV, "", ["none.toml"], ["none.toml"]),
     "no such key": (CSV, "", ["definition.toml"], ["unknown key fit.dta", "fit.data"]),
     "no such figure": (CSV, "", ["figures.toml"], ["'joints.damping'"]),
-    "two definitions": (CSV, "", ["figures.toml", "--config", "figures.toml"], ["not both"]),
 }  # fmt: skip
 
 

@@ -18,7 +18,7 @@ def rows(path):
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("joint") / "new" / "out"
-    assert main(["joint", "--out", str(folder), "--target", "25"]) == 0
+    assert main(["joint", "--out", str(folder), "--target-angle", "25"]) == 0
     return folder
 
 
@@ -83,7 +83,7 @@ def test_corrections_are_those_of_the_joint(tmp_path, written, capsys):
 
 @pytest.mark.slow
 def test_stops_and_branches_that_are_never_reached_are_told(tmp_path, capsys):
-    strong = ["--torque", "3", "--set", "muscle.pressure_limit=40e3", "--target", "60"]
+    strong = ["--torque", "3", "--set", "muscle.pressure_limit=40e3", "--target-angle", "60"]
     geometry = ["--set", "geometry.anchor_y=0.14"]
     assert main(["joint", "--out", str(tmp_path), *strong, *geometry]) == 0
     table = rows(tmp_path / "equilibria.csv")
@@ -110,7 +110,7 @@ def test_the_equilibria_hold_the_target(written):
 @pytest.mark.slow
 def test_it_says_where_the_pressures_hold_the_joint(tmp_path, capsys):
     arguments = ["joint", "--out", str(tmp_path), "--torque", "0.4", "--angle", "45"]
-    assert main([*arguments, "--set", "muscle.diameter=0.0045", "--target", "-30"]) == 0
+    assert main([*arguments, "--set", "muscle.diameter=0.0045", "--target-angle", "-30"]) == 0
     out, err = capsys.readouterr()
     assert "above 3.64 deg" in out
     assert "-30.00" in out
@@ -147,13 +147,13 @@ def test_a_name_of_a_file_is_no_folder(tmp_path, capsys, name):
     ("arguments", "sentence"),
     [
         (["--angle", "70"], "from -60 to 60 deg"),
-        (["--target", "-90"], "from -60 to 60 deg"),
+        (["--target-angle", "-90"], "from -60 to 60 deg"),
         (["--set", "geometry.wire_length=0.05"], "cannot be built"),
         (["--set", "geometry.wire_lenght=0.3"], "did you mean 'joint.geometry.wire_length'"),
         (["--set", "alpha.offset"], "PATH=VALUE"),
         (["--set", "muscle.diameter=-1"], "outside its bounds"),
         (["--torque", "0"], "positive number"),
-        (["--definition", "none.toml"], "does not exist"),
+        (["none.toml"], "does not exist"),
     ],
 )
 def test_bad_input_is_one_sentence_and_exit_status_2(arguments, sentence, tmp_path, capsys):
@@ -170,15 +170,15 @@ def test_a_definition_states_joint_and_muscle(tmp_path, capsys):
     stated = tmp_path / "mine.toml"
     stated.write_text('[joint]\ncorrection = "none"\n[muscle]\ndiameter_m = 0.0045\n')
     out = tmp_path / "out"
-    assert main(["joint", "--out", str(out), "--definition", str(stated)]) == 0
+    assert main(["joint", "--out", str(out), str(stated)]) == 0
     capsys.readouterr()
     assert (out / "fig09.csv").read_bytes() == (out / "fig10.csv").read_bytes()
     stated.write_text("[joint]\nwire = 3\n")
-    assert main(["joint", "--out", str(out), "--definition", str(stated)]) == 2
+    assert main(["joint", "--out", str(out), str(stated)]) == 2
     assert "wire" in capsys.readouterr().err
     for line in ("length_m = 1.5", 'friction = "coulomb"', "friction_pressures_kPa = [50, 100]"):
         stated.write_text(f"[muscle]\n{line}\n")
-        assert main(["joint", "--out", str(tmp_path / "no"), "--definition", str(stated)]) == 2
+        assert main(["joint", "--out", str(tmp_path / "no"), str(stated)]) == 2
         assert f"[muscle] {line.split(' ')[0]} is not used here" in capsys.readouterr().err
 
 
@@ -188,12 +188,12 @@ def test_a_run_is_checked_and_fitted_like_any_other(name, tmp_path, capsys):
     from pathlib import Path
 
     run = Path(__file__).parents[2] / "data" / "synthetic" / f"{name}.csv"
-    assert main(["check", str(run)]) == 0
+    assert main(["check", "--data", str(run)]) == 0
     assert name in capsys.readouterr().out
     assert main(["fit", "--data", str(run), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     assert (tmp_path / "out" / "result.json").exists()
     template = tmp_path / f"{name}.csv"
     template.write_bytes(run.read_bytes())
-    assert main(["init", str(template)]) == 0
+    assert main(["init", "--data", str(template)]) == 0
     assert f"[{name}]" in template.with_suffix(".toml").read_text()
-    assert main(["check", str(template)]) == 0
+    assert main(["check", "--data", str(template)]) == 0

@@ -90,7 +90,7 @@ def test_a_run_beyond_the_limits_is_refused(tmp_path, capsys, case):
     if sidecar is not None:
         (tmp_path / "run.toml").write_text(sidecar)
 
-    err = refused(capsys, "check", path, "--json")
+    err = refused(capsys, "check", "--data", path, "--json")
     with pytest.raises(InputError) as caught:
         read_run(path)
 
@@ -151,23 +151,23 @@ def test_numbers_are_still_taken(capsys):
 def test_what_is_no_file_is_not_opened(tmp_path, capsys):
     pipe = tmp_path / "run.csv"
     os.mkfifo(pipe)
-    assert "is a pipe, but must be a file" in refused(capsys, "check", pipe)
-    assert "is a pipe" in refused(capsys, "init", pipe)
+    assert "is a pipe, but must be a file" in refused(capsys, "check", "--data", pipe)
+    assert "is a pipe" in refused(capsys, "init", "--data", pipe)
     zero = tmp_path / "zero.csv"
     zero.symlink_to("/dev/zero")
-    assert "is a device, but must be a file" in refused(capsys, "check", zero)
+    assert "is a device, but must be a file" in refused(capsys, "check", "--data", zero)
     assert "is a device" in refused(capsys, "fit", "/dev/zero", "--data", zero)
     run = tmp_path / "good.csv"
     run.write_text(GOOD)
     os.mkfifo(run.with_suffix(".toml"))
-    assert "good.toml is a pipe" in refused(capsys, "check", run)
+    assert "good.toml is a pipe" in refused(capsys, "check", "--data", run)
 
 
 def test_a_run_larger_than_the_limit_is_not_read(tmp_path, capsys):
     run = tmp_path / "run.csv"
     with run.open("wb") as file:
         file.truncate(_limits.RUN_BYTES + 1)  # takes no room on the disk
-    assert "1,073,741,825 bytes" in refused(capsys, "check", run)
+    assert "1,073,741,825 bytes" in refused(capsys, "check", "--data", run)
 
 
 def test_a_broken_link_is_no_missing_sidecar(tmp_path, capsys):
@@ -175,8 +175,10 @@ def test_a_broken_link_is_no_missing_sidecar(tmp_path, capsys):
     run.write_text(GOOD)
     sidecar = run.with_suffix(".toml")
     sidecar.symlink_to(tmp_path / "moved.toml")
-    assert "run.toml is a link to a file that does not exist" in refused(capsys, "check", run)
-    assert "exists and is not written over" in refused(capsys, "init", run)
+    assert "run.toml is a link to a file that does not exist" in refused(
+        capsys, "check", "--data", run
+    )
+    assert "exists and is not written over" in refused(capsys, "init", "--data", run)
 
 
 def test_a_definition_cannot_name_what_no_file_is_called(tmp_path, capsys):

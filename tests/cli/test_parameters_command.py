@@ -2,15 +2,17 @@
 
 import io
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from giajax import ArmModel, declared, takeichi_20m
+from giajax import ArmModel, Definition, FitTask, InputError, declared, takeichi_20m
 from giajax.cli import main
 from giajax.schema.parameters import default_free, left_out
 
+SYNTHETIC = Path(__file__).resolve().parents[2] / "data" / "synthetic"
 MODEL = ArmModel(takeichi_20m())
 
 
@@ -83,12 +85,12 @@ def test_an_arm_without_links(capsys):
 
 def test_a_run_decides_the_model(capsys):
     folder = Path(__file__).parents[2] / "data" / "synthetic"
-    joint = listed(capsys, str(folder / "joint.csv"))
+    joint = listed(capsys, "--data", str(folder / "joint.csv"))
     assert joint["geometry.wire_length"]["assumed"]
     assert joint["alpha.threshold"]["free"]
-    muscle = listed(capsys, str(folder / "muscle.csv"))
+    muscle = listed(capsys, "--data", str(folder / "muscle.csv"))
     assert muscle["friction.half_width"]["elements"] == 1
-    assert main(["parameters", str(folder / "none.csv")]) == 2
+    assert main(["parameters", "--data", str(folder / "none.csv")]) == 2
     assert "does not exist" in capsys.readouterr().err
 
 
@@ -96,13 +98,13 @@ def test_units_of_a_loop_are_those_of_its_columns_in_si(capsys, tmp_path):
     path = tmp_path / "loop.csv"
     path.write_text("input_kPa,output_mm\n0,0\n100,2\n50,1.5\n")
     path.with_suffix(".toml").write_text('model = "hysteresis"\n')
-    facts = listed(capsys, str(path))
+    facts = listed(capsys, "--data", str(path))
     # --start and --fix take what is listed.
     assert facts["thresholds"]["value"][-1] == pytest.approx(100e3 / 2 * 10 / 11)
     units = {name: facts[name]["unit"] for name in ("thresholds", "elastic", "offset")}
     assert units == {"thresholds": "Pa", "elastic": "m/Pa", "offset": "m"}
     path.write_text("command_deg,angle_deg\n0,0\n10,2\n5,1.5\n")
-    facts = listed(capsys, str(path))
+    facts = listed(capsys, "--data", str(path))
     assert (facts["thresholds"]["unit"], facts["elastic"]["unit"]) == ("rad", "")
 
 
@@ -151,7 +153,7 @@ def test_a_run_shows_the_values_of_its_sidecar(capsys, tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(RUN)
     path.with_suffix(".toml").write_text(SIDECAR)
-    facts = listed(capsys, str(path))
+    facts = listed(capsys, "--data", str(path))
     expected = {
         "links.mass": [0.06, 0.05, 0.04, 0.03],
         "links.length": [0.8] * 4,
@@ -164,7 +166,7 @@ def test_a_run_shows_the_values_of_its_sidecar(capsys, tmp_path):
     }
     assert {name: facts[name]["value"] for name in expected} == expected
     assert facts["joints.damping"]["default"] == 0.05
-    assert main(["parameters", str(path)]) == 0
+    assert main(["parameters", "--data", str(path)]) == 0
     rows = {row.split()[0]: row for row in capsys.readouterr().out.splitlines()}
     for name, value in {
         "links.mass": "0.03 to 0.06", "links.length": "0.8", "gravity": "9.81",
@@ -177,6 +179,30 @@ def test_a_run_of_another_kind_shows_the_values_of_its_sidecar(capsys, tmp_path)
     path = tmp_path / "run.csv"
     path.write_text("angle_deg,side,force_N\n1,inner,1\n")
     path.with_suffix(".toml").write_text("[joint]\nwire_length_m = 0.36\n")
-    facts = listed(capsys, str(path))
+    facts = listed(capsys, "--data", str(path))
     assert facts["geometry.wire_length"]["value"] == 0.36
     assert facts["geometry.wire_length"]["default"] == 0.34
+
+
+# What each needs beside its name, as the error says.
+NEED_MORE = {
+    "joints.memory.nu": "choose a value strictly between 1 and 20",  # its default is a bound
+    "air.axial_coefficient": "use drag = 'strip'",
+}
+
+
+@pytest.mark.parametrize("name", ["base_step", "joint", "muscle", "joint_loops", "pixels_side"])
+def test_each_name_of_the_table_can_be_pasted_behind_free(capsys, name):
+    run = str(SYNTHETIC / f"{name}.csv")
+    assert main(["parameters", "--data", run]) == 0
+    paths = [line.split()[0] for line in capsys.readouterr().out.splitlines()[1:]]
+    assert len(paths) > 3
+    for path in paths:
+        assert shlex.split(path) == [path]
+        task = FitTask(Definition()).on_top(data=[run], free=[path], origin="the test")
+        if path in NEED_MORE:
+            with pytest.raises(InputError, match=NEED_MORE[path]):
+                task.prepare()
+        else:
+            fitted = [each.path.partition("[")[0] for each in task.prepare().setup.parameters]
+            assert path in fitted

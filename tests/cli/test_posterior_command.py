@@ -13,7 +13,7 @@ from giajax.report import sections
 from giajax.studies import PosteriorSummary
 from page_reader import Page
 
-FEW = ["--draws", "60", "--warmup", "60", "--quiet"]
+FEW = ["--draws", "60", "--warmup", "60"]
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def fit(muscle_fit, tmp_path_factory):
     """A copy of the fit of a muscle, without its page, with two short chains."""
     out = tmp_path_factory.mktemp("posterior") / "fit"
     shutil.copytree(muscle_fit, out, ignore=shutil.ignore_patterns("report.html"))
-    assert main(["posterior", str(out), "--chains", "2", *FEW]) == 0
+    assert main(["posterior", str(out), "--chains", "2", *FEW, "--quiet"]) == 0
     return out
 
 

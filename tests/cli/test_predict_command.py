@@ -26,15 +26,15 @@ def test_errors_of_two_models_and_their_ratio(arm_fit, tmp_path):
     wrong = tmp_path / "wrong.toml"
     wrong.write_text('[arm]\nlinks = 4\n[arm.parameters]\n"air.drag_coefficient" = 0.3\n')
     table = tmp_path / "errors.csv"
-    asked = ("predict", "--model", fitted, "--against", wrong, "--data", data)
-    status, out, error = giajax(*asked, "--out", table)
+    asked = ("predict", fitted, "--against", wrong, "--data", data)
+    status, out, error = giajax(*asked, "--to", table)
     assert (status, error) == (0, "")
     rows = list(csv.DictReader(table.read_text().splitlines()))
     assert len(rows) == len(out.splitlines()) - 1
     assert all(float(row["ratio"]) < 1 for row in rows)
     assert {row["unit"] for row in rows} == {"m"}
     # Nothing is written over without being told to.
-    status, out, error = giajax(*asked, "--out", table)
+    status, out, error = giajax(*asked, "--to", table)
     assert status == 2
     assert "--force" in error
     assert error.count("\n") == 1
@@ -42,7 +42,7 @@ def test_errors_of_two_models_and_their_ratio(arm_fit, tmp_path):
 
 def test_one_channel_of_one_model(arm_fit):
     data, fitted, _ = arm_fit
-    status, out, _ = giajax("predict", "--model", fitted, "--data", data, "--channels", "link04_z")
+    status, out, _ = giajax("predict", fitted, "--data", data, "--channels", "link04_z")
     assert status == 0
     heading, row = out.splitlines()
     assert "ratio" not in heading
@@ -123,7 +123,7 @@ def test_what_the_run_alone_states_and_a_law_of_ones_own():
 
 def test_without_on_the_command_line(filmed):
     data, fitted = filmed
-    asked = ("predict", "--model", fitted, "--data", data, "--without")
+    asked = ("predict", fitted, "--data", data, "--without")
     status, out, _ = giajax(*asked, "camera,air.density")
     assert status == 0
     assert all(float(row.split()[4]) < 1.5 * NOISE for row in out.splitlines()[1:])
@@ -143,7 +143,7 @@ def test_names_of_the_fit_are_no_others_of_another_recording(tmp_path):
     runs = read_runs(task.data, task.definition, rename=task.rename)
     write_result(task.run(check=False), runs, tmp_path / "fit", figures=False)
     for path, said in (other, ""), (file, "as in the fit: input as output, output as input\n"):
-        _, out, error = giajax("predict", "--model", tmp_path / "fit", "--data", path)
+        _, out, error = giajax("predict", tmp_path / "fit", "--data", path)
         assert float(out.splitlines()[1].split()[3]) < 0.01
         assert error.endswith(said)
         assert bool(error) == bool(said)

@@ -23,7 +23,7 @@ def test_profiles_are_written_added_to_and_shown(fit, capsys):
         for path, one in json.loads((fit / "result.json").read_text())["parameters"].items()
         if one["free"] and one["standard_error"]
     ]
-    assert main(["profile", str(fit), free[0]]) == 0
+    assert main(["profile", str(fit), "--parameter", free[0]]) == 0
     shown = capsys.readouterr()
     assert shown.out.split("\n")[1].startswith(free[0])
     assert "2 of 2 sides of profiles done" in shown.err
@@ -32,14 +32,17 @@ def test_profiles_are_written_added_to_and_shown(fit, capsys):
     assert list(first.profiles) == free[:1]
 
     # Another one is added; the first is not made again.
-    assert main(["profile", str(fit), *free[:2], "--no-figures"]) == 0
+    assert (
+        main(["profile", str(fit), "--parameter", free[0], "--parameter", free[1], "--no-figures"])
+        == 0
+    )
     assert "2 of 2 sides" in capsys.readouterr().err
     both = load_profiles(fit)
     assert list(both.profiles) == free[:2]
     assert both[free[0]] == first[free[0]]
 
     page = fit.parent / "page.html"
-    assert main(["report", str(fit), "--out", str(page), "--quiet"]) == 0
+    assert main(["report", str(fit), "--page", str(page), "--quiet"]) == 0
     parsed = Page(page.read_bytes())
     assert loaded_from_elsewhere(page.read_bytes()) == []
     assert "profiles" in parsed.headings
@@ -48,13 +51,13 @@ def test_profiles_are_written_added_to_and_shown(fit, capsys):
     assert f"{low:.5g} .. {high:.5g}" in parsed.text
 
     # Those of another level, and of another fit, are not written over, and not shown.
-    assert main(["profile", str(fit), free[0], "--level", "0.9"]) == 2
+    assert main(["profile", str(fit), "--parameter", free[0], "--level", "0.9"]) == 2
     assert "of the level 0.95: give --force to write over it" in capsys.readouterr().err
     record = json.loads((fit / "profiles.json").read_text())
     (fit / "profiles.json").write_text(json.dumps({**record, "fit": "0"}))
-    assert main(["profile", str(fit), free[0]]) == 2
+    assert main(["profile", str(fit), "--parameter", free[0]]) == 2
     assert "is of another fit: give --force" in capsys.readouterr().err
-    assert main(["report", str(fit), "--out", str(page), "--quiet", "--force"]) == 0
+    assert main(["report", str(fit), "--page", str(page), "--quiet", "--force"]) == 0
     assert "profiles" not in Page(page.read_bytes()).headings
 
 
@@ -62,7 +65,7 @@ def test_what_cannot_be_profiled_is_one_sentence(fit, tmp_path, capsys):
     for words, sentence in [
         ([str(tmp_path)], "does not exist: give the folder of a finished fit"),
         ([str(fit), "--level", "95"], "the level is 95: give one between 0 and 1, such as 0.95"),
-        ([str(fit), "muscle.hat"], "'muscle.hat' was not free in this fit"),
+        ([str(fit), "--parameter", "muscle.hat"], "'muscle.hat' was not free in this fit"),
     ]:
         assert main(["profile", *words, "--force"]) == 2
         assert sentence in capsys.readouterr().err

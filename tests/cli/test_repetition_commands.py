@@ -40,16 +40,16 @@ def test_a_fit_is_repeated_and_the_files_lie_beside_it(folder, capsys):
     # Nothing is written over; and what was done is there for another file.
     assert bootstrap(folder, "--size", "3") == 2
     assert "exists and is not written over" in capsys.readouterr().err
-    again = folder / "again.json"
-    options = ["--folder", str(kept), "--out", str(again), "--no-figures", "--json"]
+    options = ["--folder", str(kept), "--out", str(folder / "again"), "--no-figures", "--json"]
     assert bootstrap(folder, "--size", "3", *options) == 0
+    again = folder / "again" / "bootstrap.json"
     assert json.loads(capsys.readouterr().out) == json.loads(again.read_text())
     assert Bootstrap.of_json(again.read_bytes()) == found
 
 
 def test_what_spans_do_is_told_and_drawn(folder, capsys):
     words = ["influence", str(folder), "--data", str(folder / "run.csv"), "--spans", "3"]
-    assert main([*words, "--most", "2"]) == 0
+    assert main([*words, "--rows", "2"]) == 0
     printed = capsys.readouterr().out
     assert "and 1 more, which move less" in printed
     found = Influence.of_json((folder / "influence.json").read_bytes())

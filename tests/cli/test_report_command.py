@@ -34,7 +34,7 @@ def test_a_fit_writes_its_page_and_the_next_one_removes_it(fit, tmp_path):
 
 def test_a_page_of_a_result_is_not_written_over(fit, tmp_path, capsys):
     out = tmp_path / "page.html"
-    command = ["report", str(fit), "--out", str(out)]
+    command = ["report", str(fit), "--page", str(out)]
     assert main(command) == 0
     assert str(out) in capsys.readouterr().out
     first = out.read_bytes()
@@ -68,7 +68,7 @@ def test_a_place_that_takes_no_page_is_told_before_the_fit(tmp_path, capsys):
 def test_what_is_missing_is_said_before_the_fit(fit, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(_pages, "_NEEDED", ("no_such_library",))
     run = ["fit", "--data", str(DATA / "muscle.csv"), "--out", str(tmp_path / "x"), "--report"]
-    for command in (run, ["report", str(fit), "--out", str(tmp_path / "page.html")]):
+    for command in (run, ["report", str(fit), "--page", str(tmp_path / "page.html")]):
         assert main(command) == 2
         said = capsys.readouterr().err
         assert "pip install 'giajax[report]'" in said

@@ -36,7 +36,7 @@ def test_a_planned_run_has_a_picture_and_two_tables(tmp_path, capsys):
         (["--parameter", "air.drag"], "'air.drag_coefficient'"),
         ([*DRAG, "--noise", "position_m=0"], "positive"),
         ([*DRAG, "--step", "1=3", "--command", "x.csv"], "one of them"),
-        ([*DRAG, "none.csv", "--wind", "0,0,1"], "leave out"),
+        ([*DRAG, "--data", "none.csv", "--wind", "0,0,1"], "leave out"),
     ],
 )
 def test_one_sentence(tmp_path, capsys, options, words):

@@ -28,7 +28,7 @@ def out(tmp_path):
 
 
 def simulate(out, *options, status=0):
-    assert main(["simulate", "--out", str(out), *options]) == status
+    assert main(["simulate", "--to", str(out), *options]) == status
     return read_run(out) if status == 0 else None
 
 
@@ -43,7 +43,7 @@ def test_a_run_is_complete(out, capsys):
     options = ["--ramp", "1=30", "--noise", "position_m=0.02", "--missing", "10", "--seed", "7"]
     run = simulate(out, *SHORT, *options, "--set", "air.drag_coefficient=0.9")
     assert "run.csv" in capsys.readouterr().out
-    assert main(["check", str(out)]) == 0
+    assert main(["check", "--data", str(out)]) == 0
     definition = run.definition
     assert definition.sha256 == run.sha256
     assert definition.arm.links == 3
@@ -77,7 +77,7 @@ def test_its_command_line_makes_it_again(out, tmp_path):
     )
     words = shlex.split(first.definition.origin)
     again = tmp_path / "again.csv"
-    assert main([*words[2:], "--out", str(again)]) == 0
+    assert main([*words[2:], "--to", str(again)]) == 0
     assert again.read_bytes() == out.read_bytes()
     assert again.with_suffix(".toml").read_bytes() == out.with_suffix(".toml").read_bytes()
 

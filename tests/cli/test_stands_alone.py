@@ -65,12 +65,12 @@ def test_the_hint_of_a_fit_that_needs_more_iterations_works(world, capsys):
     assert "converged in" in ran(capsys, *resume, "--no-figures", "--no-suspects")
     ran(capsys, "fit", "--data", "the run.csv", *options(), "--from", "out of it/fit",
         "--out", "o 2", "--no-figures", "--no-suspects")  # fmt: skip
-    ran(capsys, "predict", "--model", "out of it/fit", "--data", "the run.csv")
+    ran(capsys, "predict", "out of it/fit", "--data", "the run.csv")
     ran(capsys, "report", "out of it/fit")
     page = (world / "out of it" / "fit" / "report.html").read_text()
     (again,) = set(re.findall(r"giajax (fit --again [^<]*)", html.unescape(page)))
     ran(capsys, *shlex.split(again), "--no-figures", "--no-suspects")
-    (check,) = hints(ran(capsys, "init", "the run.csv", *options(), "--force"))
+    (check,) = hints(ran(capsys, "init", "--data", "the run.csv", *options(), "--force"))
     ran(capsys, *check)
 
 
@@ -78,26 +78,26 @@ FIT = "out of it/fit"
 ON_A_RESULT = (
     ["suspects", FIT],
     ["influence", FIT, "--no-figures"],
-    ["profile", FIT, "joints.damping", "--no-figures"],
+    ["profile", FIT, "--parameter", "joints.damping", "--no-figures"],
     ["bootstrap", FIT, "--size", "2", "--no-figures"],
     ["posterior", FIT, "--chains", "1", "--draws", "8", "--warmup", "4"],
-    ["view", FIT, "--out", "page.html"],
+    ["view", FIT, "--page", "page.html"],
     ["report", FIT],
     ["compare", FIT, FIT],
-    ["predict", "--model", FIT, "--data", "the run.csv", "--out", "a prediction.csv"],
-    ["design", FIT, "--for", "air.drag_coefficient", "--out", "a design", "--duration", "2",
+    ["predict", FIT, "--data", "the run.csv", "--to", "a prediction.csv"],
+    ["design", FIT, "--parameter", "air.drag_coefficient", "--out", "a design", "--duration", "2",
      "--rate", "5", "--knots", "3", "--starts", "1", "--follow", "1", "--iterations", "1",
      "--draws", "1"],
     ["sweep", "a plan.toml"],
 )  # fmt: skip
 # What makes a run, of whatever is there, and says how to go on.
 ON_A_RUN = (
-    ["simulate", "--links", "2", "--duration", "1", "--step", "1=5", "--out", "a new run.csv"],
-    ["import", "the run.csv", *options(), "--out", "an import.csv"],
+    ["simulate", "--links", "2", "--duration", "1", "--step", "1=5", "--to", "a new run.csv"],
+    ["import", "the run.csv", *options(), "--to", "an import.csv"],
     ["explain", "--data", "the run.csv", *options(), *STARTS, "--max-steps", "1", "--tries", "1",
      "--no-figures", "--out", "an explanation"],
-    ["check", "the run.csv", *options()],
-    ["init", "the run.csv", *options(), "--force"],
+    ["check", "--data", "the run.csv", *options()],
+    ["init", "--data", "the run.csv", *options(), "--force"],
 )  # fmt: skip
 
 

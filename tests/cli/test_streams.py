@@ -66,13 +66,13 @@ LOST = (
 )
 def test_output_that_nobody_takes(folder, streams, ends):
     status, out, err = ends
-    given = shell(f"giajax check run.csv {streams}")
+    given = shell(f"giajax check --data run.csv {streams}")
     assert given[0] == status
     assert out is None or given[1] == out
     assert given[2] == err
     # What is written is written all the same.
     (folder / "run.toml").unlink()
-    assert shell(f"giajax init run.csv {streams}")[0] in (status, 0)
+    assert shell(f"giajax init --data run.csv {streams}")[0] in (status, 0)
     assert "[noise]" in (folder / "run.toml").read_text()
     assert "wrote" not in (folder / "run.toml").read_text()
 
@@ -87,11 +87,11 @@ def test_a_fit_is_written_whoever_reads(folder, streams):
 @pytest.mark.parametrize("variables", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C"}])
 def test_a_terminal_of_few_characters(folder, variables):
     shutil.copy("run.csv", "Prüfling.csv")
-    assert shell("giajax check Prüfling.csv --json", **variables)[0] == 0
-    status, out, err = shell("giajax check Prüfling.csv", **variables)
+    assert shell("giajax check --data Prüfling.csv --json", **variables)[0] == 0
+    status, out, err = shell("giajax check --data Prüfling.csv", **variables)
     assert (status, err) == (0, "")
     assert "Prüfling" in out or r"Pr\xfcfling" in out
-    assert shell("giajax check kein-Prüfling.csv", **variables)[0] == 2
+    assert shell("giajax check --data kein-Prüfling.csv", **variables)[0] == 2
 
 
 REOPENED = (
@@ -137,16 +137,18 @@ def test_a_folder_whose_name_is_not_utf_8_is_no_matter(folder):
 @pytest.mark.parametrize(
     "words",
     [
-        "check folder", "check folder.csv", "init folder.csv", "fit folder.toml", "compare folder",
+        "check --data folder", "check --data folder.csv", "init --data folder.csv",
+        "fit folder.toml", "compare folder",
         "fit --data folder.csv", "parameters --arm folder.toml", "sweep folder.toml",
-        "check run.csv --rename", "import folder.csv --rate 1 --out o.csv", "mjcf folder.xml",
-        "init other.csv --force", "compensate --loop run.csv --target run.csv --out folder.csv",
+        "check --data run.csv --rename", "import folder.csv --frame-rate 1 --to o.csv",
+        "mjcf folder.xml", "init --data other.csv --force",
+        "compensate --loop run.csv --target run.csv --to folder.csv",
         "mission folder.toml", "fill folder.toml", "drive --pad folder.toml --replay run.csv",
-        "drive --replay folder.csv", "view folder", "predict --model folder --data run.csv",
+        "drive --replay folder.csv", "view folder", "predict folder --data run.csv",
         "fit --data run.csv --out run.csv", "fit --resume folder", "fit --again folder",
-        "joint --out j --definition folder.toml", "explain --data folder.csv --out e",
-        "simulate --step 1=2 --out folder.csv", "simulate --arm folder.toml --out s.csv",
-        "choose --data folder.csv", "wind --data folder.csv", "synth folder.csv --out n.csv",
+        "joint folder.toml --out j", "explain --data folder.csv --out e",
+        "simulate --step 1=2 --to folder.csv", "simulate --arm folder.toml --to s.csv",
+        "choose --data folder.csv", "wind --data folder.csv", "synth --data folder.csv --to n.csv",
     ],
 )  # fmt: skip
 def test_a_folder_for_a_file(folder, capsys, words):
@@ -260,9 +262,9 @@ def test_a_drive_that_is_killed_is_there(folder):
     assert run.values["joint01_command"].max() > 0
     assert run.definition.contents()["arm"]["links"] == 3
     assert "joint03_angle" in run.observations
-    assert main(["drive", "arm.toml", "--replay", "pad.csv", "--out", "run-2.csv"]) == 2
+    assert main(["drive", "arm.toml", "--replay", "pad.csv", "--to", "run-2.csv"]) == 2
     part.unlink()
     part.with_suffix(".toml").unlink()
     (folder / "pad.csv").write_text(PAD.replace("300", "3").replace("301", "4"))
-    assert main(["drive", "arm.toml", "--replay", "pad.csv", "--out", "run-2.csv"]) == 0
+    assert main(["drive", "arm.toml", "--replay", "pad.csv", "--to", "run-2.csv"]) == 0
     assert not part.exists()

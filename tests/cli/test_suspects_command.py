@@ -13,7 +13,7 @@ from giajax.cli import main
 ROOT = Path(__file__).resolve().parents[2]
 # The truth has an end correction of 1.7, and here it is held at another value.
 WRONG = ["--fix", "muscle.end_correction=1.5"]
-HELD_OUT = ["--held-out", str(ROOT / "data" / "synthetic" / "muscle.csv")]
+HELD_OUT = ["--validation", str(ROOT / "data" / "synthetic" / "muscle.csv")]
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_tables_of_suspects_systematic_errors_and_the_ladder(folder, capsys):
 
 
 def test_json_and_a_result_with_its_suspects(folder, capsys):
-    out = folder / "asked.json"
+    out = folder / "asked"
     assert main(["suspects", str(folder / "fit"), "--json", "--out", str(out)]) == 0
     printed = capsys.readouterr()
     facts = json.loads(printed.out)
@@ -56,11 +56,19 @@ def test_json_and_a_result_with_its_suspects(folder, capsys):
     assert first["p_value"] < 1e-3
     assert first["chi_square_drop"] > 10
     assert facts["asked"] == len([row for row in facts["suspects"] if row["testable"]])
-    stored = load_result(out)
+    stored = load_result(out / "suspects.json")
     assert stored.suspects[0].path == "muscle.end_correction"
     assert stored.suspects[0].p_value == first["p_value"]
     assert stored.systematic[0].path in {item["path"] for item in facts["systematic"]}
     assert load_result(folder / "fit").suspects == ()
+    # A value of --out that ends in .json is the file, as long as old forms work.
+    assert main(["suspects", str(folder / "fit"), "--json", "--out", str(folder / "old.json")]) == 0
+    again = capsys.readouterr()
+    assert again.out == printed.out
+    assert again.err.startswith(
+        "note: giajax suspects --out FILE.json is now giajax suspects --out"
+    )
+    assert (folder / "old.json").read_bytes() == (out / "suspects.json").read_bytes()
     # Nothing is written over.
     assert main(["suspects", str(folder / "fit"), "--json", "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
@@ -85,7 +93,7 @@ def test_a_run_that_has_moved_or_changed(folder, tmp_path, capsys):
     ("options", "words"),
     [
         (["none"], "does not exist"),
-        (["{fit}", "--held-out", "x.csv"], "add --ladder"),
+        (["{fit}", "--validation", "x.csv"], "add --ladder"),
         (["{fit}", "--tries", "3"], "add --ladder"),
         (["{fit}", "--each", "muscle.diameter"], "has no elements to be asked for"),
         (["{fit}", "--uncertainty", "muscle.diameter"], "must be PATH=VALUE"),

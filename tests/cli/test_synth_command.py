@@ -24,7 +24,7 @@ def test_a_run_is_recorded_again(run, tmp_path):
     out = tmp_path / "new.csv"
     options = ["--noise", "position_m=0.01", "--missing", "10", "--bursts", "10", "--seed", "3"]
     options += ["--outliers", "5", "--outlier-size", "position_m=2", "--set", "camera.origin=0,0,1"]
-    assert main(["synth", str(run), "--out", str(out), *options]) == 0
+    assert main(["synth", "--data", str(run), "--to", str(out), *options]) == 0
     new = read_run(out)
     assert new.definition.arm.links == 2
     assert new.definition.sensors.contents() == {}
@@ -34,7 +34,7 @@ def test_a_run_is_recorded_again(run, tmp_path):
     assert 3 <= np.isnan(heights).sum() <= 6
     # Below the camera's origin by a metre.
     assert np.nanmedian(heights[:5]) == pytest.approx(-1.0, abs=0.05)
-    assert main(["check", str(out)]) == 0
+    assert main(["check", "--data", str(out)]) == 0
 
 
 @pytest.mark.slow
@@ -43,11 +43,11 @@ def test_a_file_that_states_a_model_is_true(run, tmp_path):
     arm = tmp_path / "long.toml"
     arm.write_text("[arm]\nlinks = 2\nlink_length_m = 2.0\n")
     out = tmp_path / "new.csv"
-    assert main(["synth", str(run), "--out", str(out), "--model", str(arm)]) == 0
+    assert main(["synth", "--data", str(run), "--to", str(out), "--model", str(arm)]) == 0
     new = read_run(out)
     assert new.definition.arm.link_length_m == 2.0
     plain = tmp_path / "plain.csv"
-    assert main(["synth", str(run), "--out", str(plain)]) == 0
+    assert main(["synth", "--data", str(run), "--to", str(plain)]) == 0
     assert np.max(np.abs(new.values["link02_z"] - read_run(plain).values["link02_z"])) > 0.1
 
 
@@ -65,7 +65,7 @@ def test_a_file_that_states_a_model_is_true(run, tmp_path):
 )
 def test_one_sentence(run, tmp_path, capsys, options, words):
     out = tmp_path / "new.csv"
-    assert main(["synth", str(run), "--out", str(out), *options]) == 2
+    assert main(["synth", "--data", str(run), "--to", str(out), *options]) == 2
     said = capsys.readouterr().err
     assert words in said
     assert said.count("\n") == 1
@@ -74,6 +74,6 @@ def test_one_sentence(run, tmp_path, capsys, options, words):
 
 def test_nothing_is_written_over(run, capsys):
     before = run.read_text()
-    assert main(["synth", str(run), "--out", str(run)]) == 2
+    assert main(["synth", "--data", str(run), "--to", str(run)]) == 2
     assert "not written over" in capsys.readouterr().err
     assert run.read_text() == before

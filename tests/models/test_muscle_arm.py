@@ -204,20 +204,20 @@ def test_the_commands_know_muscles(tmp_path, capsys):
     columns = "time_s,joint01_pressure_first_MPa,joint01_pressure_second_kPa,joint02_command_deg\n"
     path, out = tmp_path / "pressures.csv", tmp_path / "run.csv"
     path.write_text(columns + rows)
-    made = ["simulate", "--out", str(out), "--arm", str(tmp_path / "arm.toml")]
+    made = ["simulate", "--to", str(out), "--arm", str(tmp_path / "arm.toml")]
     made += ["--command", str(path), "--channels", "joint01_angle", "--rate", "1"]
     assert main(made) == 0
     run = giajax.read_run(out)
     assert_allclose(np.rad2deg(run.values["joint01_angle"][-1]), 25.0, atol=0.01)
     assert run.definition.arm.muscles == "pitch"
     capsys.readouterr()
-    assert main(["check", str(out)]) == 0
+    assert main(["check", "--data", str(out)]) == 0
     assert "joint01_pressure_first" in capsys.readouterr().out
-    assert main(["parameters", str(out)]) == 0
+    assert main(["parameters", "--data", str(out)]) == 0
     listed = capsys.readouterr().out
     for name in ("geometry.anchor_x", "alpha.offset", "muscle.effectiveness", "drive.lag"):
         assert name in listed
-    assert main(["init", str(path)]) == 0
+    assert main(["init", "--data", str(path)]) == 0
     assert '# muscles = "pitch"' in path.with_suffix(".toml").read_text()
 
 

@@ -578,7 +578,7 @@ def test_two_commands_from_a_bag_to_a_fit(tmp_path, capsys):
         'free = ["links.centre_of_mass"]\n[fit.start]\n"links.centre_of_mass" = 0.75\n'
     )
     words = ["import", str(bag), "--point", "/joint_states/pivot=joint01"]
-    assert main([*words, "--out", str(tmp_path / "run.csv")]) == 0
+    assert main([*words, "--to", str(tmp_path / "run.csv")]) == 0
     assert "from a bag of ROS 2: 200 rows, 200 values found of 200" in capsys.readouterr().out
     out = tmp_path / "result"
     assert main(["fit", str(fit), "--out", str(out), "--no-figures", "--no-suspects"]) == 0

@@ -235,7 +235,7 @@ def test_a_broken_file_is_one_sentence(tmp_path, text, settings, says):
 def imported(folder, text, *options):
     """What `giajax import` makes of a file, or its exit status."""
     source, out = write(folder, text), folder / "run.csv"
-    status = main(["import", str(source), *options, "--out", str(out), "--force"])
+    status = main(["import", str(source), *options, "--to", str(out), "--force"])
     return status or read_table(out)
 
 
@@ -285,7 +285,7 @@ def test_a_table_and_a_film_beside_each_other(tmp_path, capsys):
     assert "no channel is left: correct --only" in capsys.readouterr().err
     film = write(tmp_path, DEEPLABCUT, "film.csv")
     both, words = tmp_path / "both.csv", ["--frame-rate", "20", "--point", "tip=tip"]
-    beside = ["--commands", str(tmp_path / "run.csv"), "--out", str(both)]
+    beside = ["--command", str(tmp_path / "run.csv"), "--to", str(both)]
     assert main(["import", str(film), *words, *beside]) == 0
     run = read_table(both)
     np.testing.assert_allclose(run.times, [0, 0.05, 0.1, 0.2])
@@ -312,7 +312,7 @@ def test_what_drives_and_stands_in_the_table_is_known_at_the_other_times(tmp_pat
     """Commands of the imported table go between its rows, too."""
     names = ["--rename", "t=time_s", "--ignore", "note", "--ignore", "z of tip"]
     other = write(tmp_path, "time_s,joint02_angle_deg\n0.05,1\n", "other.csv")
-    run = imported(tmp_path, COLUMNS, *names, "--commands", str(other))
+    run = imported(tmp_path, COLUMNS, *names, "--command", str(other))
     np.testing.assert_allclose(run.values["joint01_command"], np.deg2rad([0, 5, 10, 20]))
 
 

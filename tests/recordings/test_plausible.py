@@ -577,13 +577,13 @@ def test_check_says_rows_cause_and_remedy_and_ends_with_3_if_strict(swing, capsy
     lines[20] = lines[20].split(",")[0] + ",-9999"
     lines[41] = lines[41].split(",")[0] + ",-9999"
     path = str(swing("\n".join(lines) + "\n"))
-    assert main(["check", path]) == 0
+    assert main(["check", "--data", path]) == 0
     said = capsys.readouterr().out
     assert "note: 2 cells of column 'joint01_angle_deg' are -9999 deg" in said
     assert "(rows 21, 42)" in said
     assert "empty these cells" in said
-    assert main(["check", path, "--strict"]) == 3
-    assert main(["check", str(swing(SWING)), "--strict"]) == 0
+    assert main(["check", "--data", path, "--strict"]) == 3
+    assert main(["check", "--data", str(swing(SWING)), "--strict"]) == 0
 
 
 @quick
@@ -595,28 +595,28 @@ def test_a_loop_that_runs_down_is_turned_by_the_printed_command(tmp_path, capsys
     path = tmp_path / "a loop.csv"
     path.write_text("\n".join(lines) + "\n")
     monkeypatch.chdir(tmp_path)
-    assert main(["check", str(path), "--strict"]) == 3
+    assert main(["check", "--data", str(path), "--strict"]) == 3
     said = capsys.readouterr().out
     assert "column 'output' falls where its input rises" in said
-    (command,) = re.findall(r"giajax (import '.*' --flip output --out turned.csv)\n", said)
+    (command,) = re.findall(r"giajax (import '.*' --flip output --to turned.csv)\n", said)
     assert main(shlex.split(command)) == 0
-    assert main(["check", "turned.csv", "--strict"]) == 0
+    assert main(["check", "--data", "turned.csv", "--strict"]) == 0
     # What it also needs: the names that check was given, and what the sidecar says.
     path.write_text("\n".join(["t,input,y", *lines[1:]]) + "\n")
     path.with_suffix(".toml").write_text('model = "hysteresis"\n')
     names = ["--rename", "t=time_s", "--rename", "y=output"]
-    assert main(["check", str(path), *names, "--strict"]) == 3
+    assert main(["check", "--data", str(path), *names, "--strict"]) == 3
     needs = "turned.csv, with the same --rename, and copy a loop.toml to turned.toml\n"
     assert needs in capsys.readouterr().out
     assert main([*shlex.split(command), *names, "--force"]) == 0
     path.with_suffix(".toml").rename("turned.toml")
-    assert main(["check", "turned.csv", "--strict"]) == 0
+    assert main(["check", "--data", "turned.csv", "--strict"]) == 0
 
 
 @quick
 def test_a_second_take_is_no_matter_of_sorting(swing, capsys):
     again = SWING + SWING.split("\n", 1)[1]
-    assert main(["check", str(swing(again))]) == 2
+    assert main(["check", "--data", str(swing(again))]) == 2
     said = capsys.readouterr().err
     assert "a second recording seems to begin in row 102" in said
     assert "sort" not in said
@@ -628,5 +628,5 @@ def test_a_second_take_is_no_matter_of_sorting(swing, capsys):
 def test_percent_is_no_matter_of_a_name(tmp_path, capsys):
     path = tmp_path / "run.csv"
     path.write_text("pressure_kPa,contraction_percent,force_N\n100,0,80\n100,2,73\n")
-    assert main(["check", str(path)]) == 2
+    assert main(["check", "--data", str(path)]) == 2
     assert "divide the values by 100" in capsys.readouterr().err

@@ -180,13 +180,13 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
     log = write(tmp_path, "time_s,joint01_command_deg\n0,0\n0.05,10\n", "log.csv")
     film, other = write(tmp_path, DEEPLABCUT), write(tmp_path, KINOVEA, "kinovea.csv")
     first, run = tmp_path / "first.csv", tmp_path / "run.csv"
-    options = ["--rate", "50", "--point", "elbow=link03", "--point", "tip end=tip"]
-    arguments = [str(film), *options, "--camera", "side", "--commands", str(log)]
-    assert main(["import", *arguments, "--out", str(first)]) == 0
+    options = ["--frame-rate", "50", "--point", "elbow=link03", "--point", "tip end=tip"]
+    arguments = [str(film), *options, "--camera", "side", "--command", str(log)]
+    assert main(["import", *arguments, "--to", str(first)]) == 0
     assert "3 pictures, 4 points found of 6" in capsys.readouterr().out
-    options = ["--kinovea-origin", "0,1079", "--point", "Marker 1=mark01", "--camera", "top"]
-    arguments = [str(other), *options, "--commands", str(first)]
-    assert main(["import", *arguments, "--out", str(run)]) == 0
+    options = ["--origin", "0,1079", "--point", "Marker 1=mark01", "--camera", "top"]
+    arguments = [str(other), *options, "--command", str(first)]
+    assert main(["import", *arguments, "--to", str(run)]) == 0
     table = read_run(run)
     np.testing.assert_allclose(table.times, [0, 0.02, 0.04, 0.05, 0.06])
     command = np.deg2rad([0, 4, 8, 10, 10])
@@ -195,7 +195,7 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
     assert np.isnan(table.values["side.link03_u"][1:4]).all()
     np.testing.assert_allclose(table.values["top.mark01_v"][[0, 2]], [1058.75, 1058])
     # The template has a section for each camera and landmark, and the noise of pixels.
-    assert main(["init", str(run)]) == 0
+    assert main(["init", "--data", str(run)]) == 0
     text = run.with_suffix(".toml").read_text()
     for line in ("[camera.side]", "[camera.top]", "[landmark.mark01]", "# pixel_px = 2.0"):
         assert line in text
@@ -206,20 +206,32 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
     ("options", "says"),
     [
         ([], "DeepLabCut counts pictures: give --frame-rate"),
-        (["--rate", "50"], "no tracked point is a channel"),
-        (["--rate", "50", "--point", "nose=tip"], "there is no tracked point 'nose'"),
-        (["--rate", "50", "--point", "elbow=wrist"], "is called 'wrist', which a camera does not"),
-        (["--rate", "50", "--point", "elbow"], "--point 'elbow' must be OLD=NEW"),
-        (["--rate", "0", "--point", "elbow=tip"], "the rate is 0"),
-        (["--kinovea-origin", "5", "--point", "elbow=tip"], "must be two numbers"),
-        (["--rate", "50", "--point", "elbow=tip", "--likelihood", "1"], "no row in which"),
-        (["--rate", "50", "--likelihood", "60"], "the likelihood is 60: give a number from 0 to 1"),
-        (["--rate", "50", "--origin", "0,9"], "--origin changes nothing in this table of DeepLab"),
-        (["--rate", "50", "--point", "elbow=tip", "--point", "tip end=tip"], "are called 'tip'"),
+        (["--frame-rate", "50"], "no tracked point is a channel"),
+        (["--frame-rate", "50", "--point", "nose=tip"], "there is no tracked point 'nose'"),
+        (
+            ["--frame-rate", "50", "--point", "elbow=wrist"],
+            "is called 'wrist', which a camera does not",
+        ),
+        (["--frame-rate", "50", "--point", "elbow"], "--point 'elbow' must be OLD=NEW"),
+        (["--frame-rate", "0", "--point", "elbow=tip"], "the rate is 0"),
+        (["--origin", "5", "--point", "elbow=tip"], "must be two numbers"),
+        (["--frame-rate", "50", "--point", "elbow=tip", "--likelihood", "1"], "no row in which"),
+        (
+            ["--frame-rate", "50", "--likelihood", "60"],
+            "the likelihood is 60: give a number from 0 to 1",
+        ),
+        (
+            ["--frame-rate", "50", "--origin", "0,9"],
+            "--origin changes nothing in this table of DeepLab",
+        ),
+        (
+            ["--frame-rate", "50", "--point", "elbow=tip", "--point", "tip end=tip"],
+            "are called 'tip'",
+        ),
     ],
 )
 def test_what_an_import_must_say(tmp_path, capsys, options, says):
     film, out = write(tmp_path, DEEPLABCUT), tmp_path / "run.csv"
-    assert main(["import", str(film), *options, "--out", str(out)]) == 2
+    assert main(["import", str(film), *options, "--to", str(out)]) == 2
     assert says in capsys.readouterr().err
     assert not out.exists()

@@ -49,7 +49,7 @@ def test_a_shipped_fit_with_every_study(name, browser, tmp_path):
     for study, options in STUDIES.items():
         giajax(study, folder, "--quiet", *options)
     (tmp_path / "site").mkdir()
-    giajax("report", folder, "--out", tmp_path / "site" / "report.html")
+    giajax("report", folder, "--page", tmp_path / "site" / "report.html")
     assert browse.opened(tmp_path / "site", browser) == []
     page = Page((tmp_path / "site" / "report.html").read_bytes())
     assert {"profiles", "repetitions", "influence", "posterior"} <= set(page.headings)

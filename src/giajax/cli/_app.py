@@ -5,14 +5,22 @@ and `giajax check` start without JAX.
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from ._commands import COMMANDS, Commands, command_of, run, with_options
+from ._commands import (
+    COMMANDS,
+    GROUPS,
+    Commands,
+    command_of,
+    old_forms as forms_of,
+    run,
+    with_options,
+)
 
 # Each file registers its commands.
 for _path in sorted(Path(__file__).parent.glob("_[a-z]*.py")):
@@ -20,10 +28,12 @@ for _path in sorted(Path(__file__).parent.glob("_[a-z]*.py")):
 
 _EXAMPLES = """\b
 Examples:
-  giajax check run.csv      what a recording holds
-  giajax init run.csv       write a sidecar for it, to fill in
+  giajax check --data run.csv
+                            what a recording holds
+  giajax init --data run.csv
+                            write a sidecar for it, to fill in
   giajax parameters         what a fit can find, with unit and bounds
-  giajax simulate --ramp 1=30 --out run.csv
+  giajax simulate --ramp 1=30 --to run.csv
                             a run made by the model
   giajax examples           runs and fit definitions to start from
   giajax joint --out DIR    one joint at rest: paths, forces, equilibria
@@ -47,18 +57,17 @@ Examples:
                             how far each parameter can go, bounds and all
   giajax posterior giajax-out/run
                             what is known of its parameters, by sampling
-  giajax predict --model giajax-out/run --data other.csv
+  giajax predict giajax-out/run --data other.csv
                             how well the fit predicts another run
   giajax choose --data loops.csv
                             which hysteresis model describes a joint
-  giajax compensate --model fit --target target.csv --out command.csv
+  giajax compensate fit --target target.csv --to command.csv
                             commands that undo the hysteresis
-  giajax design giajax-out/run --for air.drag_coefficient --out next
+  giajax design giajax-out/run --parameter air.drag_coefficient --out next
                             the next experiment: what to command and to film
   giajax wind --data resting.csv --wind 0,0.2,0
                             the gusts that a resting arm undulates in
-  giajax fill --out DIR
-                            20 balloons filled with helium: fullness, lift
+  giajax fill --out DIR     20 balloons filled with helium: fullness, lift
   giajax mission missions/naraha.toml
                             an operator, a camera at the tip, a 2 m opening
   giajax hysteresis --out DIR
@@ -66,18 +75,8 @@ Examples:
   giajax paper all --out DIR
                             the paper's figures and tables, made again
 
-A run is a CSV file with one column a channel (time_s, joint01_command_deg,
-link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .toml."""
-
-# Of the help: the commands of a first day, then by name.
-_FIRST, _LAST = ("check", "fit"), ("examples", "cache")
-
-
-def _order(name: str) -> tuple[int, str]:
-    """Where a command stands in the help."""
-    if name in _FIRST:
-        return _FIRST.index(name), ""
-    return len(_FIRST) + (name in _LAST) + (name == "cache"), name
+A run is a CSV file with one column a channel (such as time_s, joint01_command_deg
+or link06_z_m) and, beside it, an optional sidecar of the same name ending .toml."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -88,7 +87,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def command_names() -> list[str]:
     """The names of all commands, in the order of the help."""
-    return sorted(COMMANDS, key=_order)
+    order = list(GROUPS)
+    return sorted(COMMANDS, key=lambda name: (order.index(COMMANDS[name].group), name))
+
+
+def old_forms() -> Iterator[tuple[str, str]]:
+    """Each command line that is an old form, and the one that it is now."""
+    names = command_names()
+    group: Any = typer.main.get_command(_app_for(names))
+    for name in names:
+        yield from forms_of(group.commands[name], COMMANDS[name]).values()
 
 
 def _app_for(words: Sequence[str]) -> typer.Typer:
@@ -109,12 +117,12 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
     )
     app.callback(invoke_without_command=True)(_giajax)
     for name in command_names():
-        function, examples, settings_after = COMMANDS[name]
+        each = COMMANDS[name]
         if name in words:
-            full = with_options(function, settings_after)
-            app.command(name, epilog=examples, cls=command_of(full))(full)
+            full = with_options(each.function, each.settings_after)
+            app.command(name, epilog=each.examples, cls=command_of(full, each))(full)
         else:
-            app.command(name, epilog=examples, help=function.__doc__)(_only_listed)
+            app.command(name, epilog=each.examples, help=each.function.__doc__)(_only_listed)
     return app
 
 

@@ -1,6 +1,7 @@
 """What commands are made of: registration, words, ends; and options and output that many have."""
 
 import contextlib
+import dataclasses
 import functools
 import inspect
 import os
@@ -40,11 +41,46 @@ Function = Callable[..., None]
 Texts = list[str] | None
 Paths = list[Path] | None
 
-COMMANDS: dict[str, tuple[Function, str, str]] = {}
-"""Functions, their examples and `settings_after`, by the name of the command."""
+GROUPS = {
+    "first": "First day",
+    "data": "Data",
+    "fit": "Fit",
+    "trust": "Trust",
+    "plan": "Plan",
+    "arm": "Arm",
+    "paper": "Paper",
+    "other": "Other",
+}
+"""Titles of the groups of commands, in the order of the help."""
+
+OLD_FORMS_END = "the end of 2027"
+"""How long old forms of the options work."""
 
 
-def command(examples: str, *, settings_after: str = "") -> Callable[[Function], Function]:
+@dataclasses.dataclass(frozen=True)
+class Registered:
+    """A command: its function, and what `command` was given with it."""
+
+    function: Function
+    examples: str
+    group: str
+    settings_after: str = ""
+    old: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    old_words: str = ""
+
+
+COMMANDS: dict[str, Registered] = {}
+"""All commands by their names."""
+
+
+def command(
+    examples: str,
+    *,
+    group: str,
+    settings_after: str = "",
+    old: Mapping[str, str | tuple[str, ...]] | None = None,
+    old_words: str = "",
+) -> Callable[[Function], Function]:
     """Make a function a command of `giajax`, whose help ends with examples.
 
     A parameter is an option by its annotation: `Annotated[type, metavar, help]`, and without the
@@ -52,11 +88,22 @@ def command(examples: str, *, settings_after: str = "") -> Callable[[Function], 
     numbers are the least and the greatest value, and what is a list may be repeated. Of keywords,
     `**settings: Unpack[Settings]`, each item of the `TypedDict` is one.
     They stand in the help behind the parameter `settings_after`.
+
+    The help of all commands shows it in one of `GROUPS`. `old` has the options that it had under
+    other names, and what each is now: an option (or several), an argument by its metavar, or ()
+    where it is gone; "--out FILE.json" is an option whose values of this ending are old. Words
+    beyond the arguments that it has were those of the option `old_words`.
     """
+    if group not in GROUPS:
+        raise ValueError(f"there is no group '{group}': use one of {', '.join(GROUPS)}")
+
+    forms = {form: (new,) if isinstance(new, str) else new for form, new in (old or {}).items()}
 
     def register(function: Function) -> Function:
         # `import` is a word of Python: its function is called import_.
-        COMMANDS[function.__name__.rstrip("_")] = (function, examples, settings_after)
+        COMMANDS[function.__name__.rstrip("_")] = Registered(
+            function, examples, group, settings_after, forms, old_words
+        )
         return function
 
     return register
@@ -140,13 +187,17 @@ def _with_option(parameter: Parameter) -> Parameter:
 _WHOLE = re.compile(r"[-+]?[0-9]{1,18}")
 
 
-def command_of(function: Callable[..., None]) -> type[TyperCommand]:
+def command_of(function: Callable[..., None], registered: Registered) -> type[TyperCommand]:
     """A class for the command of a function, which checks numbers and paths by its signature."""
     types = {name: _type_of(hint) for name, hint in get_type_hints(function).items()}
 
     class Command(TyperCommand):
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-            """Check the words, then convert them."""
+            """Translate old forms, check the words, then convert them."""
+            translation = Translation(self, registered, args)
+            for note in translation.notes:
+                typer.echo(note, err=True)
+            args = translation.words
             typed = self.make_parser(ctx).parse_args(args=list(args))[0]
             for name, value in typed.items():
                 for word in _words(value):
@@ -154,6 +205,139 @@ def command_of(function: Callable[..., None]) -> type[TyperCommand]:
             return super().parse_args(ctx, args)
 
     return Command
+
+
+# Old forms of options, which are translated before the words are parsed.
+
+
+def _named(command: Any) -> dict[str, Any]:
+    """The options of a command by each of their names."""
+    return {
+        name: each
+        for each in command.params
+        for name in (*each.opts, *each.secondary_opts)
+        if name.startswith("-")
+    }
+
+
+def _arguments(command: Any) -> list[Any]:
+    return [each for each in command.params if not each.opts[0].startswith("-")]
+
+
+def _shown(form: str, options: Mapping[str, Any]) -> str:
+    """An option with its metavar, if it has one; an argument is its metavar."""
+    metavar = options[form].metavar if form in options else None
+    return f"{form} {metavar}" if metavar else form
+
+
+def old_forms(command: Any, registered: Registered) -> dict[str, tuple[str, str]]:
+    """The old forms of a command, each with the command line that it was and the one that it is.
+
+    Keys are those of `Registered.old`, and "" for words that were those of an option.
+    """
+    options, pairs = _named(command), {}
+    if words := registered.old_words:
+        places = [each.metavar for each in _arguments(command)]
+        pairs[""] = [*places, options[words].metavar], [*places, _shown(words, options)]
+    for form, news in registered.old.items():
+        # An option that is an argument now has the metavar of that.
+        metavars = [options[new].metavar if new in options else new for new in news[:1]]
+        was = [form] if " " in form else [form, *filter(None, metavars)]
+        pairs[form] = was, [_shown(new, options) for new in news]
+    return {
+        form: (" ".join(["giajax", command.name, *old]), " ".join(["giajax", command.name, *now]))
+        for form, (old, now) in pairs.items()
+    }
+
+
+class Translation:
+    """The words of a command line, with its old forms translated.
+
+    Attributes:
+        words: those of today.
+        notes: a line for each old form.
+
+    Raises:
+        InputError: an old form is beside the new one.
+    """
+
+    def __init__(self, command: Any, registered: Registered, typed: Sequence[str]) -> None:
+        self.words: list[str] = []
+        self._behind: list[str] = []  # words behind "--", which are no options
+        self._registered, self._options = registered, _named(command)
+        counts = (each.nargs if each.nargs > 0 else len(typed) for each in _arguments(command))
+        self._places = sum(counts)  # left for arguments
+        self._named = {word.partition("=")[0] for word in typed}
+        self._given: set[str] = set()
+        self._found: dict[str, tuple[str, ...]] = {}  # old forms, and what each is now
+        left = list(typed)
+        while left:
+            word = left.pop(0)
+            name, equals, value = word.partition("=")
+            if word == "--":
+                for each in left:
+                    self._argument(each, self._behind)
+                break
+            if not name.startswith("-") or name == "-":
+                self._argument(word, self.words)
+            elif name in registered.old:
+                self._old_option(name, equals + value, left)
+            else:
+                self._option(word, name, left)
+        self.words += ["--", *self._behind] if self._behind else []
+        forms = old_forms(command, registered)
+        for form, news in self._found.items():
+            for new in self._given.intersection(news):
+                old, now = forms[form]
+                raise InputError(f"{old} is now {now}, and {new} is given, too: leave one out")
+        self.notes = [
+            f"note: {old} is now {now}; the old form works until {OLD_FORMS_END}"
+            for old, now in map(forms.__getitem__, self._found)
+        ]
+        if "--quiet" in self._given or "--quiet" in self._found:
+            self.notes = []
+
+    def _argument(self, word: str, words: list[str]) -> None:
+        """Take a word that is no option, which may be one too many as it always was."""
+        option = self._registered.old_words
+        self._places -= 1
+        again = "" in self._found and not self._options[option].multiple
+        if self._places >= 0 or not option or option in self._named or again:
+            words.append(word)
+            return
+        self._found[""] = (option,)
+        self.words += [option, word]
+
+    def _old_option(self, name: str, value: str, left: list[str]) -> None:
+        """Take an option that is called otherwise, or is an argument, or is gone."""
+        news = self._found[name] = self._registered.old[name]
+        if all(new in self._options and self._options[new].is_flag for new in news):
+            self.words += [new + value for new in news]
+            return
+        values = [value[1:]] if value else left[:1]
+        del left[: 0 if value else 1]
+        for new in news:
+            if new in self._options:
+                self.words += [new, *values]
+            else:
+                self._places -= 1
+                self.words += values
+
+    def _option(self, word: str, name: str, left: list[str]) -> None:
+        """Take an option as it is, whose value may be of an old ending."""
+        self._given.add(name)
+        self.words.append(word)
+        if name not in self._options or self._options[name].is_flag:
+            return
+        value = word.partition("=")[2]
+        if "=" not in word:
+            value = left[0] if left else ""
+            self.words += left[:1]
+            del left[:1]
+        for form in self._registered.old:
+            option, _, old_value = form.partition(" ")
+            if old_value and option == name and value.endswith(Path(old_value).suffix):
+                self._found[form] = ()
 
 
 def _type_of(hint: Any) -> Any:
@@ -210,6 +394,19 @@ class Commands(TyperGroup):
         """Run the command that the context names."""
         with _endings():
             return super().invoke(ctx)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write a section for each group, whose summaries stand below each other."""
+        names = self.list_commands(ctx)
+        longest = max(map(len, names))
+        for group, title in GROUPS.items():
+            rows = [
+                (name.ljust(longest), self.commands[name].get_short_help_str(limit=1000))
+                for name in names
+                if COMMANDS[name].group == group
+            ]
+            with formatter.section(title):
+                formatter.write_dl(rows)
 
 
 @contextlib.contextmanager
@@ -385,17 +582,17 @@ def _cell(value: Any) -> str:
 Browser = Annotated[bool, "Open a browser, or only say where."]
 Digits = Annotated[int, "N", "Significant digits that are written.", 3, 17]
 Force = Annotated[bool, "Write over files."]
-ForceFile = Annotated[bool, "Write over a file."]
-ForceRun = Annotated[bool, "Write over a run."]
 Host = Annotated[str, "ADDRESS", "Where to listen; 0.0.0.0: everywhere."]
-Json = Annotated[bool, "--json", "Print JSON instead of a table."]
+Json = Annotated[bool, "--json", "Print JSON instead of tables."]
 Links = Annotated[int | None, "N", "Number of links."]
-OnlyChannels = Annotated[Texts, "NAME", "Only this channel, without its unit."]
+OnlyChannels = Annotated[Texts, "CHANNEL", "Only this channel, without its unit."]
 Port = Annotated[int, "N", "Where to listen; 0 for a free one."]
-Replayed = Annotated[Path | None, "FILE.csv", "A run whose commands and wind are used instead."]
+Quiet = Annotated[bool, "Print errors only."]
+Replayed = Annotated[Path | None, "FILE", "A run whose commands and wind are used instead."]
 Settings = Annotated[Texts, "PATH=VALUE", "A parameter's value.", "--set"]
 Solver = Annotated[str, "NAME", "Integration method, such as tsit5, springs5."]
 Tolerance = Annotated[float, "TOL", "Tolerance of the integration."]
+ToRun = Annotated[Path, "RUN.csv", "The run to write."]
 Wind = Annotated[str | None, "X,Y,Z", "Constant velocity of the air, m/s."]
 
 Renamed = Annotated[Texts, "OLD=NEW", "Read column OLD of the files as NEW."]
@@ -448,16 +645,20 @@ def say_progress(quiet: bool) -> Callable[[str], None] | None:
     return None if quiet else (lambda text: typer.echo(text, err=True))
 
 
-def say_served(page: Any, whoever: str, end: str, *, browser: bool) -> None:
+def say_served(page: Any, whoever: str, end: str, *, browser: bool, quiet: bool) -> None:
     """Say where a page is, what somebody else could do with its address, and how it ends."""
     from ..apps.viewer import open_in_browser
 
-    typer.echo(f"open {page.address}")
-    if page.is_open:
-        typer.echo(f"whoever has this address {whoever}, from other machines, too")
-    typer.echo(f"Ctrl-C {end}")
+    if not quiet:
+        typer.echo(f"open {page.address}")
+        if page.is_open:
+            typer.echo(f"whoever has this address {whoever}, from other machines, too")
+        typer.echo(f"Ctrl-C {end}")
     if browser:
         open_in_browser(page.address)
+
+
+_ONLY_WHERE = ("out", "to", "page", "force", "quiet")
 
 
 def origin(context: typer.Context) -> str:
@@ -467,7 +668,7 @@ def origin(context: typer.Context) -> str:
     words = [f"giajax {version('giajax')} {context.command.name}"]
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
-        if parameter.name in ("out", "force") or value in (None, [], (), parameter.default):
+        if parameter.name in _ONLY_WHERE or value in (None, [], (), parameter.default):
             continue
         items = value if isinstance(value, list | tuple) else [value]
         for item in items:

@@ -1,31 +1,39 @@
 """`giajax compare`, `choose` and `report`: what results say, side by side or one on a page."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..runtime.process import configure
-from ._commands import ForceFile, Json, Paths, Renamed, Texts, argument, command, print_table
+from ._commands import Force, Json, Paths, Quiet, Renamed, Texts, argument, command, print_table
 from ._on_result import OnResult, on_result
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
   giajax compare giajax-out/monday giajax-out/tuesday
+                            whether two fits agree to within their errors
   giajax compare giajax-out/white giajax-out/correlated --json
-  giajax compare giajax-out/a giajax-out/b giajax-out/c --out compare.html
+                            the same as JSON
+  giajax compare giajax-out/a giajax-out/b giajax-out/c --page compare.html
+                            three fits, and a page with their pictures
 
-\b
-RESULT is the folder of a fit, or its result.json. Differences are from the first
-result, in joint standard errors. BIC is shown where all were fitted to the same
-values with the same noise and loss; where not, a line says so.""")
+RESULT is the folder of a fit, or its result.json. Differences are from the
+first result, in joint standard errors. BIC is shown where all were fitted to
+the same values with the same noise and loss; where not, a line says so.""",
+    group="fit",
+    old={"--out": "--page"},
+)
 def compare(
-    results: Annotated[list[Path], argument("RESULT...", "At least two fits; see below.")],
-    as_json: Annotated[bool, "--json", "Print JSON instead of tables."] = False,
-    out: Annotated[Path | None, "FILE.html", "Write a page for a browser there."] = None,
-    force: ForceFile = False,
+    results: Annotated[list[Path], argument("RESULT", "At least two fits; see below.")],
+    as_json: Json = False,
+    page: Annotated[Path | None, "FILE.html", "Write a page for a browser."] = None,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
     """Show what several fits say of the same parameters.
 
@@ -38,21 +46,22 @@ def compare(
     # What is no result is refused before JAX is imported, which takes seconds.
     for path in results:
         stored_result(path)
-    if out is not None:
-        check_output_files([out], force=force)
+    if page is not None:
+        check_output_files([page], force=force)
     configure()
     from ..fitting import load_result
     from ..report import check_page, compare_page, contrast_json, contrast_tables
     from ..studies import contrast
 
-    if out is not None:
+    if page is not None:
         check_page()
     loaded = [load_result(path) for path in results]
     found = contrast(loaded, _names(results))
-    if out is not None:
-        write_files({out: compare_page(found, loaded)}, force=force)
+    if page is not None:
+        write_files({page: compare_page(found, loaded)}, force=force)
     if as_json:
         typer.echo(contrast_json(found))
+    if as_json or quiet:
         return
     parameters, whole = contrast_tables(found)
     print_table(*parameters, left=2)
@@ -60,8 +69,8 @@ def compare(
     print_table(*whole)
     for note in found.notes:
         print(f"\n{note}")
-    if out is not None:
-        print(f"\nwrote {out}")
+    if page is not None:
+        print(f"\nwrote {page}")
 
 
 def _names(paths: list[Path]) -> list[str]:
@@ -75,35 +84,48 @@ def _names(paths: list[Path]) -> list[str]:
 _ENDS = {"not_converged": "NOT CONVERGED"}
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
   giajax choose --data loops.csv
-  giajax choose --data loops.csv --held-out other.csv
-  giajax choose --data loops.csv --only preisach --only modified_prandtl_ishlinskii
+                            by the last part of the loops
+  giajax choose --data loops.csv --validation other.csv
+                            by another recording
+  giajax choose --data loops.csv --only preisach --only bouc_wen
+                            of these two alone
 
-The best model on the held-out loops comes first; fits that did not converge come last,
+The best model on the loops that judge comes first; fits that did not converge come last,
 whatever their errors. AIC and BIC are of the fitted part, each less
-that of the best; a large difference on the held-out part and a small one here means a model that
-describes what it saw and no more.""")
+that of the best; a large difference on the part that judges and a small one here means a model
+that describes what it saw and no more.""",
+    group="fit",
+    # It prints, and writes no file; its progress is shown where somebody watches.
+    old={"--held-out": "--validation", "--quiet": ()},
+)
 def choose(
     data: Annotated[list[Path], "RUN.csv", "A run to fit to."],
-    held_out: Annotated[Paths, "RUN.csv", "A run to judge by."] = None,
-    fraction: Annotated[float, "F", "Without --held-out: last part of each run to judge by."] = 0.3,
+    validation: Annotated[Paths, "RUN.csv", "A run to judge by."] = None,
+    fraction: Annotated[
+        float, "F", "Without --validation: last part of each run to judge by."
+    ] = 0.3,
     only: Annotated[Texts, "NAME", "Compare only these."] = None,
     rename: Renamed = None,
     as_json: Json = False,
-    quiet: Annotated[bool, "No progress."] = False,
 ) -> None:
-    """Fit several hysteresis models and compare them on loops that they were not fitted to."""
+    """Compare models of hysteresis on loops that judge them.
+
+    Each is fitted first, to other loops than those.
+    """
     from ..recordings import parse_rename, read_run
 
     renamed = parse_rename(rename or [])
     runs = [read_run(path, rename=renamed) for path in data]
-    others = [read_run(path, rename=renamed) for path in held_out or []]
+    others = [read_run(path, rename=renamed) for path in validation or []]
     configure()
     from ..studies import choose_hysteresis
 
-    say = None if quiet else (lambda name: typer.echo(f"fitting {name} ...", err=True))
+    watched = sys.stderr.isatty()
+    say = (lambda name: typer.echo(f"fitting {name} ...", err=True)) if watched else None
     choice = choose_hysteresis(runs, others, fraction=fraction, candidates=only, progress=say)
     ended = [one for one in choice.candidates if one.converged] or choice.candidates
     least_aic, least_bic = min(one.aic for one in ended), min(one.bic for one in ended)
@@ -130,15 +152,18 @@ def choose(
     """\b
 Examples:
   giajax report giajax-out/run
-  giajax report giajax-out/run --out for_the_group.html
+                            report.html beside the result
+  giajax report giajax-out/run --page for_the_group.html
+                            a page elsewhere
   giajax report giajax-out/run --data elsewhere/run.csv
+                            of a run that has moved since it was fitted
 
-\b
 RESULT is the folder of a fit, or its result.json. The page is one file that
 opens without a network: the verdict, the parameters, what limits them, recorded
 against fitted values, the arm as it moves, and where all of it comes from.""",
-    out=("FILE.html", "The page (report.html beside the result)."),
-    force="Write over a file.",
+    group="first",
+    page="The page (report.html beside the result).",
+    old={"--out": "--page"},
 )
 def report(given: OnResult) -> None:
     """Write a result as a page for a browser.
@@ -148,7 +173,7 @@ def report(given: OnResult) -> None:
     from ..recordings import check_output_files, write_files
     from ..tasks import held_out_runs
 
-    page = given.home / "report.html" if given.out is None else given.out
+    page = given.home / "report.html" if given.page is None else given.page
     check_output_files([page], force=given.force)
     from ..report import check_page, report_page
 

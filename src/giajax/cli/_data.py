@@ -9,26 +9,43 @@ from typing import Annotated, Any
 import typer
 
 from ..runtime.text import InputError
-from ._commands import Force, ForceRun, Renamed, Texts, argument, command, print_table
+from ._commands import (
+    Force,
+    Json,
+    Quiet,
+    Renamed,
+    Texts,
+    ToRun,
+    argument,
+    command,
+    print_table,
+)
 from ._values import numbers
 
 _ODD = 3  # with --strict
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax check run.csv
-  giajax check camera.csv --rename t=time_s --rename "z 6"=link06_z_m
-  giajax check run.csv --strict --json
+  giajax check --data run.csv
+                            channels, samples, and what is odd
+  giajax check --data camera.csv --rename t=time_s --rename "z 6"=link06_z_m
+                            with other names of columns
+  giajax check --data run.csv --strict --json
+                            for a script
 
 \b
-What is odd comes first, as notes: units, signs, labels, lost cells, glitches and
-constants, by their magnitudes; nothing is changed.
-Exit status: 0; 2 bad input or usage; 3 with --strict, where something is odd.""")
+What is odd comes first, as notes: units, signs, labels, lost cells, glitches
+and constants, by their magnitudes; nothing is changed.
+Exit status: 0; 2 bad input or usage; 3 with --strict, where something is odd.""",
+    group="first",
+    old_words="--data",
+)
 def check(
-    run: Annotated[Path, argument("RUN", "The run, a .csv or .parquet file.")],
+    data: Annotated[Path, "RUN.csv", "The run, a .csv or .parquet file."],
     rename: Renamed = None,
-    as_json: Annotated[bool, "--json", "Print JSON instead of tables."] = False,
+    as_json: Json = False,
     strict: Annotated[bool, "End with status 3 where something is odd."] = False,
 ) -> None:
     """Say what a run holds, and what of it is odd.
@@ -38,7 +55,7 @@ def check(
     """
     from ..recordings import describe, parse_rename, read_run
 
-    facts = describe(read_run(run, rename=parse_rename(rename or [])))
+    facts = describe(read_run(data, rename=parse_rename(rename or [])))
     if as_json:
         typer.echo(json.dumps(facts, indent=2))
     else:
@@ -95,13 +112,20 @@ def _row(channel: dict[str, Any]) -> list[Any]:
     return [channel["name"], channel["part"], unit, channel["count"], missing, *measured]
 
 
-@command("""\b
+@command(
+    """\b
 Example:
-  giajax init run.csv       writes run.toml; then edit it, and: giajax check run.csv""")
+  giajax init --data run.csv
+                            writes run.toml; then edit it, and see:
+                            giajax check --data run.csv""",
+    group="data",
+    old_words="--data",
+)
 def init(
-    run: Annotated[Path, argument("RUN", "The run, a .csv or .parquet file.")],
+    data: Annotated[Path, "RUN.csv", "The run, a .csv or .parquet file."],
     rename: Renamed = None,
-    force: Annotated[bool, "Write over a sidecar."] = False,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write a sidecar to fill in.
 
@@ -110,26 +134,46 @@ def init(
     """
     from ..recordings import parse_rename, sidecar_path, sidecar_template, write_files
 
-    sidecar = sidecar_path(run)
-    text = sidecar_template(run, parse_rename(rename or []))
+    sidecar = sidecar_path(data)
+    text = sidecar_template(data, parse_rename(rename or []))
     write_files({sidecar: text.encode()}, force=force)
-    words = [str(run), *(word for pair in rename or [] for word in ("--rename", pair))]
-    typer.echo(f"wrote {sidecar}: fill it in, then see: giajax check {shlex.join(words)}")
+    words = ["--data", str(data), *(word for pair in rename or [] for word in ("--rename", pair))]
+    if not quiet:
+        typer.echo(f"wrote {sidecar}: fill it in, then see: giajax check {shlex.join(words)}")
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax import filmDLC_resnet50.csv --frame-rate 60 --camera side --out run.csv \\
-         --point elbow=link03 --point tip=tip --commands log.csv
-  giajax import tracker.txt --unit m --point mass_A=tip --out run.csv
-  giajax import trajectories.csv --origin 0,1079 --camera side --out run.csv \\
-         --point "Marker 1"=link03
-  giajax import take.csv --point Arm:tip=tip --from-time 2 --until 20 --out run.csv
-  giajax import RawData.csv --point Gyroscope=imu01 --out run.csv
-  giajax import bag --point /joint_states/shoulder=joint01 --out run.csv \\
-         --point "/commands/shoulder position=joint01_command"
-  giajax import spreadsheet.csv --rename t=time_s --ignore "note*" --out run.csv
-Then: giajax init run.csv, which offers each camera its section; giajax fit --data run.csv.""")
+  giajax import filmDLC_resnet50.csv --frame-rate 60 --camera side \\
+      --point elbow=link03 --point tip=tip --command log.csv --to run.csv
+                            points of DeepLabCut, with commands of a log
+  giajax import tracker.txt --unit m --point mass_A=tip --to run.csv
+                            a point of Tracker, in metres
+  giajax import trajectories.csv --origin 0,1079 --camera side \\
+      --point "Marker 1"=link03 --to run.csv
+                            a point of Kinovea, in px
+  giajax import take.csv --point Arm:tip=tip --from-time 2 --until 20 \\
+      --to run.csv          a part of a take of OptiTrack Motive
+  giajax import RawData.csv --point Gyroscope=imu01 --to run.csv
+                            the gyroscope of a phone
+  giajax import bag --point /joint_states/shoulder=joint01 --to run.csv \\
+      --point "/commands/shoulder position=joint01_command"
+                            a bag of ROS 2
+  giajax import spreadsheet.csv --rename t=time_s --ignore "note*" \\
+      --to run.csv          a table of known columns
+
+\b
+Then: giajax init --data run.csv, which offers each camera its section, and
+giajax fit --data run.csv.""",
+    group="data",
+    old={
+        "--out": "--to",
+        "--commands": "--command",
+        "--rate": "--frame-rate",
+        "--kinovea-origin": "--origin",
+    },
+)
 def import_(
     file: Annotated[
         Path,
@@ -140,7 +184,7 @@ def import_(
             "a bag of ROS 2, a folder, .mcap or .db3 (pip install 'giajax[ros]').",
         ),
     ],
-    out: Annotated[Path, "FILE", "The run to write, a .csv file."],
+    to: ToRun,
     point: Annotated[
         Texts,
         "NAME=PART",
@@ -150,8 +194,6 @@ def import_(
     camera: Annotated[str | None, "NAME", "The camera; needed where there are several."] = None,
     frame_rate: Annotated[
         float | None,
-        "--frame-rate",
-        "--rate",
         "HZ",
         "Pictures a second of the film; in place of the times of a file that has some.",
     ] = None,
@@ -161,8 +203,6 @@ def import_(
     ] = None,
     origin: Annotated[
         str | None,
-        "--origin",
-        "--kinovea-origin",
         "U,V",
         "Of coordinates that Kinovea or Tracker counts in px, upwards: where their origin is in "
         "the picture, from the upper left corner.",
@@ -181,12 +221,13 @@ def import_(
     rename: Renamed = None,
     only: Annotated[Texts, "NAME", "Only this of the file, or this channel; tip* for many."] = None,
     ignore: Annotated[Texts, "NAME", "Without this of the file, or this channel."] = None,
-    commands: Annotated[
+    command: Annotated[
         Path | None,
         "FILE",
         "A run with the commands, on the film's clock, or with the points of another camera.",
     ] = None,
-    force: ForceRun = False,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
     """Make a run of what another program tracked or measured.
 
@@ -237,22 +278,23 @@ def import_(
     # Coordinates of a point are found together.
     found = {name.rpartition("_")[0]: np.isfinite(column) for name, column in measured.items()}
     count = len(next(iter(values.values())))
-    if commands is not None:
+    if command is not None:
         if times is None:
             raise InputError(f"{file} has no times: give --frame-rate, the rows a second")
-        beside = read_beside(commands)
+        beside = read_beside(command)
         # A command of a bag holds until the next message.
         times, values = filmed_beside(times, values, beside, held=table.merged)
-    write_run(out, times, values, digits=9, force=force)
+    write_run(to, times, values, digits=9, force=force)
+    if quiet:
+        return
     what = f"{count} rows of {len(values)} channels"
     if found:
         seen = sum(int(each.sum()) for each in found.values())
         shown = {column.quantity for columns in table.things.values() for column in columns}
         rows, cells = ("pictures", "points") if shown & {"pixel", "length"} else ("rows", "values")
         what = f"{count} {rows}, {seen} {cells} found of {len(found) * count}"
-    typer.echo(
-        f"wrote {out}, from {table.program}: {what}; next: giajax init {shlex.quote(str(out))}"
-    )
+    following = f"giajax init --data {shlex.quote(str(to))}"
+    typer.echo(f"wrote {to}, from {table.program}: {what}; next: {following}")
 
 
 _DATA = ("data/synthetic", "data/independent", "data/recorded")
@@ -261,19 +303,29 @@ _MANY = 5
 _COPIED = (".csv", ".toml", ".md", ".txt", "")  # a licence has no suffix
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax examples
+  giajax examples           what there is
   giajax examples --copy work
-  giajax fit work/fits/base_step.toml""")
+                            copy it all to a folder
+  giajax fit work/fits/base_step.toml
+                            fit one of them""",
+    group="data",
+)
 def examples(
     copy: Annotated[Path | None, "DIR", "Copy them all to this folder."] = None,
     force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
-    """List the runs, fits and missions that ship with giajax, or copy them to start from."""
+    """List the runs, fits and missions that ship with giajax.
+
+    Or copy them to start from.
+    """
     root = examples_root()
     if copy is None:
-        _show_examples(root)
+        if not quiet:
+            _show_examples(root)
         return
     from ..recordings import check_output_folder, make_folder, write_files
 
@@ -283,7 +335,9 @@ def examples(
     for folder in {path.parent for path in contents}:
         make_folder(folder)
     write_files(contents, force=force)
-    typer.echo(f"copied {len(names)} files to {copy}; see: giajax fit {copy}/fits/base_step.toml")
+    if not quiet:
+        see = f"giajax fit {copy}/fits/base_step.toml"
+        typer.echo(f"copied {len(names)} files to {copy}; see: {see}")
 
 
 def examples_root() -> Path:
@@ -357,10 +411,13 @@ def _files(root: Path) -> Iterator[Path]:
                 yield path
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax cache              where it is, how many programs it holds, and their size
-  giajax cache --clear      removes them; the next fit traces and compiles again""")
+  giajax cache              where it is, what it holds, and its size
+  giajax cache --clear      removes it; the next fit compiles again""",
+    group="other",
+)
 def cache(clear: Annotated[bool, "Remove what is there."] = False) -> None:
     """Show or clear the programs that are kept between commands.
 

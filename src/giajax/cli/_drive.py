@@ -15,12 +15,12 @@ from ..runtime.process import configure
 from ..runtime.text import InputError
 from ._commands import (
     Browser,
-    ForceFile,
-    ForceRun,
+    Force,
     Host,
     Links,
     Paths,
     Port,
+    Quiet,
     Renamed,
     Texts,
     argument,
@@ -48,13 +48,13 @@ _GUSTY, _GUST_RATE = 1800.0, 10.0
 
 
 def driven_arm(
-    what: Path | None, links: int | None, wind: str | None
+    what: Path | None, links: int | None, wind: str | None, *, quiet: bool
 ) -> "tuple[Definition, ArmModel]":
     """What a file and the options say, and the arm: of a fit, or of a file."""
     from ..models import ArmModel
 
     if what is None or not is_result(what):
-        definition = definition_from_options(what, links, wind)
+        definition = definition_from_options(what, links, wind, quiet=quiet)
         return definition, ArmModel.stated_in(definition)
     if links is not None:
         raise InputError("--links is of an arm from a file, and this one was fitted: leave it out")
@@ -65,11 +65,11 @@ def driven_arm(
     model = load_result(what).model
     if model.kind != ArmModel.kind:
         raise InputError(f"{what} is a fit of a {model.kind}, which nobody drives: give an arm's")
-    return definition_from_options(None, None, wind), cast("ArmModel", model)
+    return definition_from_options(None, None, wind, quiet=quiet), cast("ArmModel", model)
 
 
 def wind_of(
-    gusts: str | None, definition: "Definition", model: "ArmModel", seed: int
+    gusts: str | None, definition: "Definition", model: "ArmModel", seed: int, *, quiet: bool
 ) -> "Drive | None":
     """Gusts about a mean wind, or that wind alone."""
     import numpy as np
@@ -80,7 +80,8 @@ def wind_of(
     if gusts is not None:
         sampling = {"duration": _GUSTY, "rate": _GUST_RATE, "seed": seed}
         wind, left_out = gusts_of(gusts, definition, None, model.arm, coherence=None, **sampling)
-        typer.echo(left_out)
+        if not quiet:
+            typer.echo(left_out)
         return wind
     mean = definition.section(WindSection).velocity_m_per_s
     if mean is None:
@@ -91,12 +92,16 @@ def wind_of(
 
 
 def replay_table(
-    session: "Session", table: "Mapping[str, np.ndarray]", unfinished: "Unfinished"
+    session: "Session",
+    table: "Mapping[str, np.ndarray]",
+    unfinished: "Unfinished",
+    *,
+    quiet: bool,
 ) -> None:
     """Drive by a table; says how far it is, where somebody watches."""
     from ..apps.driving import replay
 
-    watched, said, kept = sys.stderr.isatty(), -1, time.monotonic()
+    watched, said, kept = sys.stderr.isatty() and not quiet, -1, time.monotonic()
 
     def on_progress(done: float, whole: float) -> None:
         nonlocal said, kept
@@ -120,18 +125,21 @@ def serve(
     host: str,
     port: int,
     browser: bool,
+    quiet: bool,
 ) -> None:
     """Serve the page until Ctrl-C."""
     from ..apps.driving import Cockpit
 
     cockpit = Cockpit(session, camera, host=host, port=port)
     try:
-        say_served(cockpit, "drives the arm", "ends the drive and saves it", browser=browser)
+        ends = "ends the drive and saves it"
+        say_served(cockpit, "drives the arm", ends, browser=browser, quiet=quiet)
         while not cockpit.wait(_KEPT_S):
             unfinished.add()
         raise cockpit.failure or InputError(cockpit.error or "the drive is over")
     except KeyboardInterrupt:
-        typer.echo("\nsaving the drive")
+        if not quiet:
+            typer.echo("\nsaving the drive")
     finally:
         cockpit.close()
 
@@ -143,6 +151,7 @@ def save(
     channels: list[str],
     *,
     force: bool,
+    quiet: bool,
     **how: Any,
 ) -> None:
     """Write the drive, and say what is in it; one in which nothing was moved is not written.
@@ -151,7 +160,8 @@ def save(
     """
     try:
         run = session.record.run(channels, name=out.stem, **how)
-        write_and_say(out, run, 12, force, f"{session.time:.1f} s driven, ")
+        driven = f"{session.time:.1f} s driven, "
+        write_and_say(out, run, 12, force=force, quiet=quiet, what=driven)
     except InputError as error:
         if session.record.is_still:
             typer.echo(f"giajax: {error}", err=True)
@@ -160,7 +170,7 @@ def save(
         unfinished.add()
         raise InputError(f"{error}; what was kept of the drive is in {unfinished.path}") from None
     unfinished.remove()
-    if session.lost:
+    if session.lost and not quiet:
         typer.echo(f"the simulation was {session.lost:.1f} s behind the clock, which were left out")
 
 
@@ -169,16 +179,19 @@ def _files(out: Path) -> tuple[Path, Path, Path]:
     return out, out.with_suffix(".toml"), out.with_name(f"{out.stem}-unfinished.csv")
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax drive                          the paper's arm, in a browser
-  giajax drive giajax-out/run           the arm of a fit
+  giajax drive              the paper's arm, in a browser
+  giajax drive giajax-out/run
+                            the arm of a fit
   giajax drive my_arm.toml --gusts 0.3:5 --wind 0,0.2,0
-  giajax drive my_arm.toml --pad my_pad.toml --out monday.csv
-  giajax drive --replay pad.csv --out again.csv
-                                        what a pad did, as fast as it goes
+                            your arm, in gusts
+  giajax drive my_arm.toml --pad my_pad.toml --to monday.csv
+                            with sticks and buttons as you say
+  giajax drive --replay pad.csv --to again.csv
+                            what a pad did, as fast as it goes
 
-\b
 WHAT is the folder of a fit, or the TOML file of an arm. Sticks bend the base and
 the tip, sliders and presets any joint; where the pad, the tab or its connection
 is gone, the arm holds. The drive ends by Ctrl-C, and is saved as a run that
@@ -192,8 +205,11 @@ giajax fit reads. A pad file says what sticks and buttons do:
   presets = [{name = "up", joints = [1], angles_deg = [20], others_deg = 0}]
 
 \b
-A table of a pad has the columns time_s, axis0, axis1, ..., button0, ...; a row
-holds until the next one.""")
+A table of a pad has the columns time_s, axis0 (and axis1, and so on) and
+button0 (and so on); a row holds until the next one.""",
+    group="plan",
+    old={"--out": "--to"},
+)
 def drive(
     context: typer.Context,
     what: Annotated[Path | None, argument("WHAT", "See below.")] = None,
@@ -208,28 +224,31 @@ def drive(
     latency: Annotated[float, "S", "Of the picture of the camera at the tip."] = 0.2,
     rate: Annotated[float, "HZ", "Poses a second."] = 30.0,
     steps: Annotated[int, "N", "Steps of the integrator in each.", 1] = 1,
-    out: Annotated[Path | None, "RUN.csv", "The run to write. [drive-1.csv, or -2 ...]"] = None,
-    channels: Annotated[Texts, "CHANNELS", "What is recorded, as of simulate."] = None,
+    to: Annotated[Path | None, "RUN.csv", "The run to write. [drive-N.csv, the next N]"] = None,
+    channels: Annotated[Texts, "CHANNEL", "What is recorded, as of simulate."] = None,
     noise: Annotated[Texts, "KEY=VALUE", "Standard deviation, by a key of [noise]."] = None,
     every: Annotated[int, "N", "One row in so many is recorded.", 1] = 3,
     seed: Annotated[int, "N", "Of noise and gusts.", 0] = 0,
     host: Host = "127.0.0.1",
     port: Port = 0,
     browser: Browser = True,
-    force: ForceRun = False,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Drive an arm: with a game pad or sliders, in a browser, in real time.
+    """Drive an arm in a browser, by a game pad or sliders.
+
+    In real time.
 
     The picture of a camera at the tip, gusts, and every drive saved as a run.
     """
     from ..recordings import check_output_run, stored_result
 
     section = noise_section(noise, "--noise")
-    if out is None:
+    if to is None:
         names = (Path(f"drive-{number}.csv") for number in itertools.count(1))
-        out = next(n for n in names if not any(map(os.path.lexists, _files(n))))
-    check_output_run(out, force=force)
-    part = _files(out)[-1]
+        to = next(n for n in names if not any(map(os.path.lexists, _files(n))))
+    check_output_run(to, force=force)
+    part = _files(to)[-1]
     check_output_run(part, force=force)
     values = settings(pairs)
     if what is not None and not what.exists():
@@ -250,7 +269,7 @@ def drive(
     from ..fitting import load_result
 
     table = None if replay is None else read_pad(replay)
-    definition, model = driven_arm(what, links, wind)
+    definition, model = driven_arm(what, links, wind, quiet=quiet)
     model = with_settings(model, values)
     count = model.arm.count
     recorded = channel_names(channels or [], count)
@@ -264,7 +283,7 @@ def drive(
         PadMapping.usual(count) if pad is None else PadMapping.load(pad, count),
         rate=rate,
         steps=steps,
-        gusts=wind_of(gusts, definition, model, seed),
+        gusts=wind_of(gusts, definition, model, seed, quiet=quiet),
         compensation=compensation,
         memory=not no_memory,
     )
@@ -274,51 +293,59 @@ def drive(
     unfinished = Unfinished(session.record, part, origin=origin(context), complain=say)
     try:
         if table is not None:
-            replay_table(session, table, unfinished)
+            replay_table(session, table, unfinished, quiet=quiet)
         else:
             camera = TipCamera(model, latency)
-            serve(session, camera, unfinished, host=host, port=port, browser=browser)
+            where: dict[str, Any] = {"host": host, "port": port, "browser": browser}
+            serve(session, camera, unfinished, **where, quiet=quiet)
     finally:
         save(
-            session, unfinished, out, recorded,
-            noise=section, every=every, seed=seed, origin=origin(context), force=force,
+            session, unfinished, to, recorded, noise=section, every=every, seed=seed,
+            origin=origin(context), force=force, quiet=quiet,
         )  # fmt: skip
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax view giajax-out/run            a fit: the arm as fitted, and what was seen
-  giajax view giajax-out/a giajax-out/b two fits, side by side
-  giajax view run.csv --out run.html    a file that plays without a server
-  giajax view my_arm.toml               an arm, with a slider for each joint
+  giajax view giajax-out/run
+                            a fit: the arm as fitted, and what was seen
+  giajax view giajax-out/a giajax-out/b
+                            two fits, side by side
+  giajax view run.csv --page run.html
+                            a file that plays without a server
+  giajax view my_arm.toml   an arm, with a slider for each joint
   giajax view run.csv --no-browser --host 0.0.0.0 --port 8100
-                                        for a browser on another machine
+                            for a browser on another machine
 
-\b
 WHAT is a recorded or simulated run, the folder of a fit (or its result.json), or
 the TOML file of an arm. The page listens on this machine alone unless --host says
-otherwise, and opens only by its whole address, which has a token in it.""")
+otherwise, and opens only by its whole address, which has a token in it.""",
+    group="first",
+    old={"--out": "--page"},
+)
 def view(
-    what: Annotated[list[Path], argument("WHAT...", "See below.")],
+    what: Annotated[list[Path], argument("WHAT", "See below.")],
     data: Annotated[Paths, "RUN.csv", "A fitted run, if it has moved."] = None,
     run: Annotated[str | None, "NAME", "Which run of a fit of several (the first)."] = None,
     rename: Renamed = None,
     overlay: Annotated[bool, "All in one place instead of side by side."] = False,
-    out: Annotated[Path | None, "FILE.html", "Write a file that plays without a server."] = None,
-    dark: Annotated[bool, "Of --out: light on dark."] = False,
+    page: Annotated[Path | None, "FILE.html", "Write a page that plays without a server."] = None,
+    dark: Annotated[bool, "Of --page: light on dark."] = False,
     host: Host = "127.0.0.1",
     port: Port = 0,
     browser: Browser = True,
-    force: ForceFile = False,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Show an arm in a browser: balloons, markers, forces, surroundings.
+    """Show an arm in a browser: balloons, markers, forces.
 
-    Recorded markers beside those of the model, and a time bar.
+    With what is around it. Recorded markers beside those of the model, and a time bar.
     """
     from ..recordings import check_output_files, parse_rename, write_files
 
-    if out is not None:
-        check_output_files([out], force=force)
+    if page is not None:
+        check_output_files([page], force=force)
     renamed = parse_rename(rename or [])
     for path in what:
         if not path.exists():
@@ -340,21 +367,23 @@ def view(
         raise InputError(
             "an arm without a motion is shown by itself: give one TOML file, or runs and fits"
         )
-    if out is not None:
+    if page is not None:
         shows = [
             each.show(np.zeros(each.arm.count)) if isinstance(each, Posable) else each
             for each in found
         ]
-        page = recording(shows, overlay=overlay, dark=dark)
-        write_files({out: page}, force=force)
-        typer.echo(f"wrote {out} ({len(page) / 1e6:.1f} MB): open it in a browser")
+        content = recording(shows, overlay=overlay, dark=dark)
+        write_files({page: content}, force=force)
+        if not quiet:
+            typer.echo(f"wrote {page} ({len(content) / 1e6:.1f} MB): open it in a browser")
         return
     viewer = Viewer(found, overlay=overlay, host=host, port=port)
     try:
-        say_served(viewer, "sees the page", "ends it", browser=browser)
+        say_served(viewer, "sees the page", "ends it", browser=browser, quiet=quiet)
         while True:
             time.sleep(3600)
     except KeyboardInterrupt:
-        typer.echo("ended")
+        if not quiet:
+            typer.echo("ended")
     finally:
         viewer.close()

@@ -9,8 +9,12 @@ import typer
 from ..runtime.process import configure, is_stopped, stop_if_asked, stopped_status
 from ..runtime.text import InputError
 from ._commands import (
+    Force,
+    Json,
     Paths,
+    Quiet,
     Renamed,
+    argument,
     command,
     say_progress,
     say_written,
@@ -30,41 +34,47 @@ PAGE = "explain.html"
     """\b
 Examples:
   giajax explain --data run.csv --out why
+                            what the run needs, into the folder why
   giajax explain --data run.csv --out why --budget 15m --tries 1
+                            the best within a quarter of an hour
   giajax explain --data a.csv --data b.csv --validation c.csv
+                            of two runs, judged by a third one
   giajax explain --data run.csv --free air.drag_coefficient --loss huber
+                            from a fit with other options
   giajax explain --resume why
+                            go on with it after it was stopped
 
 It fits what `giajax fit` would fit, asks the residuals, fits the first few suspects
 and keeps the best, takes out again what that makes superfluous, and asks again.
 The last fifth of each run, or each --validation run, judges the steps; the final
 model is fitted to all of --data. All other options are those of `giajax fit`.
 
-\b
 DIR holds the final result as `giajax fit` writes it, explain.json with steps,
 parameters and models that fit nearly as well, explain.html, and each fit that was
 made in DIR/fits. Ctrl-C and --budget end it with all of this for what was reached;
-the same with --resume DIR goes on to the same steps.
+the same with --resume DIR goes on to the same steps, and --force begins anew.
 
 \b
 Exit status: 0 the final fit converged; 1 it did not; 2 bad input or usage;
 130 interrupted, 143 by SIGTERM.""",
-    settings_after="config",
+    group="fit",
+    settings_after="data",
+    old={"--config": "DEFINITION", "--page": "--report", "--no-page": "--no-report"},
 )
 def explain(
+    definition: Annotated[Path | None, argument("DEFINITION", "What to fit to what.")] = None,
     data: Annotated[Paths, "RUN.csv", "A run to explain, together with others."] = None,
-    config: Annotated[Path | None, "FILE.toml", "A fit definition to begin with."] = None,
     validation: Annotated[Paths, "RUN.csv", "A run to judge the steps by."] = None,
     rename: Renamed = None,
     max_steps: Annotated[int | None, "N", "Steps at most (10).", 0] = None,
     tries: Annotated[int | None, "N", "Suspects that are fitted at each step (3).", 1] = None,
     resume: Annotated[Path | None, "DIR", "Go on with the explanation there."] = None,
     out: Annotated[Path | None, "DIR", "Where it goes (giajax-out/RUN-explained)."] = None,
-    force: Annotated[bool, "Begin anew over what is there."] = False,
-    page: Annotated[bool, "Write explain.html."] = True,
+    force: Force = False,
+    report: Annotated[bool, "Write explain.html."] = True,
     figures: Annotated[bool, "Draw pictures of the result."] = True,
-    as_json: Annotated[bool, "--json", "Print explain.json instead of tables."] = False,
-    quiet: Annotated[bool, "Print errors only."] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
     **settings: Unpack[Settings],
 ) -> None:
     """Find out what runs need beyond a model, and fit it.
@@ -77,13 +87,13 @@ def explain(
     said = typed(settings)
     budget = said.pop("budget", None)
     if resume is not None:
-        if data or config or validation or rename or force or out is not None or said:
+        if definition or data or validation or rename or force or out is not None or said:
             raise typer.BadParameter(
                 "--resume takes data and settings from the folder: leave out the others"
             )
         task, folder = _resumed(resume), resume
     else:
-        task = named_task(None, config, None, None, bool(data)).on_top(
+        task = named_task(definition, None, None, bool(data)).on_top(
             **said,
             data=data or None,
             validation=validation or None,
@@ -98,11 +108,11 @@ def explain(
     if budget:
         task = task.on_top(budget=budget, origin="the command line")
     seconds = task.definition.fit.budget_s
-    if page:
+    if report:
         try:
             check_page(folder / PAGE, force=force or resume is not None)
         except InputError as error:
-            raise InputError(f"{error}, or leave the page out with --no-page") from None
+            raise InputError(f"{error}, or leave the page out with --no-report") from None
     configure()
     from ..fitting import Budget
     from ..report import report_page, write_result
@@ -129,7 +139,7 @@ def explain(
         files = write_result(result, found.runs, folder, figures=figures and not is_stopped())
         written = {folder / record.file: record.to_json().encode()}
         write_files(written, force=True)
-        if page:
+        if report:
             # It has a section for each record that lies beside the result.
             source = folder / "result.json"
             written[folder / PAGE] = report_page(result, found.runs, source=source)

@@ -8,23 +8,37 @@ import typer
 from ..runtime.limits import FILLING_S
 from ..runtime.process import configure
 from ..runtime.text import InputError
-from ._commands import Force, Json, Texts, argument, command, print_table, say_written, write_folder
+from ._commands import (
+    Force,
+    Json,
+    Quiet,
+    Texts,
+    argument,
+    command,
+    print_table,
+    say_written,
+    write_folder,
+)
 from ._values import settings, with_settings
 
 if TYPE_CHECKING:
     from ..apps.filling import Filled, FillingCurve
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax fill
+  giajax fill               the preset, as tables
   giajax fill --out filling
+                            with files and pictures
   giajax fill filling.toml --minutes 30 --out filling --force
+                            your filling; ports with which it takes 30 min
   giajax fill --set ports.diameter=0.008 --no-curve --json
+                            another port, as JSON
 
 \b
 It writes
-  filling.json            when each link is full and lifts itself; all settings
+  filling.json            when each link is full and lifts itself
   filling.csv             fullness, pressure, lift and stiffness over time
   filling.png             the same as a picture
   curve.csv, curve.png    ports and supplies with which it takes 23 min
@@ -36,7 +50,9 @@ A definition is a TOML file with an [arm] and a [filling], such as
   supply = "regulator"       # or "flow", or "bottle"
   supply_pressure_bar = 2.0
   port_diameter_mm = 8.0
-  shared = [[1, 2], [3, 4]]  # links that are not welded apart""")
+  shared = [[1, 2], [3, 4]]  # links that are not welded apart""",
+    group="arm",
+)
 def fill(
     definition: Annotated[Path | None, argument("DEFINITION", "Its [arm] and [filling].")] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter, SI.", "--set"] = None,
@@ -45,11 +61,13 @@ def fill(
     out: Annotated[Path | None, "DIR", "Write tables and pictures there."] = None,
     as_json: Json = False,
     force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Fill an arm of balloons with helium, and tell what each link is like on the way.
+    """Fill an arm of balloons with helium, link by link.
 
-    Bags in a row with ports between them, fed at the base (the paper's fig. 15), and which
-    port goes with which supply where filling takes the paper's 23 minutes.
+    Says what each link is like on the way: bags in a row with ports between them, fed at the base
+    (the paper's fig. 15). And which port goes with which supply where filling takes the paper's
+    23 minutes.
     """
     from ..recordings import Definition, check_output_folder
 
@@ -82,6 +100,7 @@ def fill(
         write_folder(out, filling_files(filled, curve), force=force)
     if as_json:
         typer.echo(filling_json(filled, curve))
+    if as_json or quiet:
         return
     _show(filled)
     if curve is not None:

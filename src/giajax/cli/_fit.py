@@ -26,7 +26,10 @@ from ..runtime.process import (
 from ..runtime.text import InputError, time_in_words
 from ._commands import (
     Cores,
+    Force,
+    Json,
     Paths,
+    Quiet,
     Renamed,
     Scheduler,
     Texts,
@@ -453,7 +456,7 @@ class Settings(TypedDict):
         "Free what is always uncertain of camera and arm, with a prior (default), or hold it.",
         "--nuisances/--no-nuisances",
     ]
-    channels: Annotated[Texts, "NAME", "Fit this channel only, without its unit: link20_z."]
+    channels: Annotated[Texts, "CHANNEL", "Fit this channel only, without its unit: link20_z."]
     hold_out: Annotated[
         Texts, "NAME", "Judge by it, do not fit it: a run, a channel, last (fifth)."
     ]
@@ -489,7 +492,6 @@ def typed(given: Settings) -> "TaskKeywords":
 
 def named_task(
     definition: Path | None,
-    config: Path | None,
     again: Path | None,
     resume: Path | None,
     has_data: bool,
@@ -498,19 +500,14 @@ def named_task(
     from ..recordings import Definition
     from ..tasks import FitTask
 
-    if definition is not None and config is not None:
-        raise typer.BadParameter(
-            "there are two fit definitions: give one, as argument or by --config, not both"
-        )
-    source = definition or config
     if again is not None:
-        if source is not None or has_data or resume is not None:
+        if definition is not None or has_data or resume is not None:
             raise typer.BadParameter(
                 "--again takes data and settings from the result: leave out the others"
             )
         return FitTask.again(again)
-    if source is not None:
-        return FitTask.load(source)
+    if definition is not None:
+        return FitTask.load(definition)
     if resume is not None and not has_data:
         return FitTask.resumed(resume)
     return FitTask(Definition())
@@ -520,20 +517,34 @@ def named_task(
     """\b
 Examples:
   giajax fit --data run.csv
+                            the default parameters of its model
   giajax fit --data run.csv --start air.drag_coefficient=0.8 --loss huber
+                            from another start, and robust to outliers
   giajax fit --data a.csv --data b.csv --fix joints.damping=0.05 --out both
+                            two runs, one parameter held
   giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
+                            these parameters alone
   giajax fit --data run.csv --free links.mass --tie "links.mass=links.mass[0]"
+                            one mass for all links
   giajax fit --data a.csv --data b.csv --per-run camera.delay \\
       --prior camera.delay=0+-0.05 --bounds joints.damping=0.01,1
+                            a delay for each run, with a prior
   giajax fit --data a.csv --data b.csv --hold-out b --strict
+                            judged by a run that is not fitted
   giajax fit --data run.csv --hold-out last:0.3
+                            judged by the last 30 % of the run
   giajax fit definition.toml --force
+                            a fit definition
   giajax fit long.toml --budget 2h --cores 4
+                            the best of two hours
   giajax fit long.toml --starts 100 --workers 4
+                            from many starts, in four processes
   giajax fit --resume giajax-out/long
+                            go on with a fit that was stopped
   giajax fit --again giajax-out/run/result.json
+                            the same fit once more
   giajax fit --data other.csv --from giajax-out/run
+                            another run, from where a fit ended
 
 Parameters are called as `giajax parameters` lists them, in the units that it lists;
 one with several elements has one VALUE for all, or one for each: camera.origin=0.1,0,0.
@@ -546,17 +557,17 @@ does not describe the data or is doubtful; 4 something else went wrong; 130
 interrupted, 143 by SIGTERM, 129 by a terminal that hangs up (the best point
 so far is written). A second Ctrl-C ends at once.
 
-\b
 While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
 end of a budget, --resume DIR goes on from there to the same numbers.
 With --workers or --scheduler other processes fit the starts after the first
 that converges.""",
-    settings_after="config",
+    group="first",
+    settings_after="data",
+    old={"--config": "DEFINITION"},
 )
 def fit(
-    definition: Annotated[Path | None, argument("FILE.toml", "What to fit to what.")] = None,
+    definition: Annotated[Path | None, argument("DEFINITION", "What to fit to what.")] = None,
     data: Annotated[Paths, "RUN.csv", "A run to fit, together with others."] = None,
-    config: Annotated[Path | None, "FILE.toml", "The fit definition, if it is no argument."] = None,
     rename: Renamed = None,
     begin: Annotated[Path | None, "RESULT", "Start where another fit ended.", "--from"] = None,
     again: Annotated[Path | None, "RESULT", "A fit once more: same data, same numbers."] = None,
@@ -565,10 +576,10 @@ def fit(
     scheduler: Scheduler = None,
     resume: Annotated[Path | None, "DIR", "Go on with the fit whose journal is there."] = None,
     out: Annotated[Path | None, "DIR", "Where the result goes (giajax-out/RUN)."] = None,
-    force: Annotated[bool, "Write over the result of another fit."] = False,
-    as_json: Annotated[bool, "--json", "Print result.json instead of the tables."] = False,
+    force: Force = False,
+    as_json: Json = False,
     strict: Annotated[bool, "End with status 3 where the model does not fit the data."] = False,
-    quiet: Annotated[bool, "Print errors only."] = False,
+    quiet: Quiet = False,
     suspects: Annotated[bool, "Test what the fit held or left out."] = True,
     figures: Annotated[bool, "Draw pictures of the result."] = True,
     self_test: Annotated[bool, "Repeat it with noise drawn anew: are its errors right?"] = False,
@@ -586,7 +597,7 @@ def fit(
         os.environ[CORES_VARIABLE] = str(cores)
     if resume is not None and (status := finished(resume, as_json, quiet)) is not None:
         raise typer.Exit(status)
-    task = named_task(definition, config, again, resume, bool(data)).on_top(
+    task = named_task(definition, again, resume, bool(data)).on_top(
         **typed(settings),
         data=data or None,
         begin=begin,

@@ -13,9 +13,11 @@ from ..runtime.text import InputError
 from ._commands import (
     Digits,
     Force,
-    ForceRun,
+    Quiet,
     Renamed,
     Texts,
+    ToRun,
+    argument,
     command,
     print_table,
     say_written,
@@ -29,32 +31,40 @@ if TYPE_CHECKING:
 _ANGLES = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax joint --out joint
+  giajax joint --out joint  the preset, as pictures and numbers
   giajax joint --out joint --torque 0.5 --angle 45 --angle 0 --angle -45
-  giajax joint --out joint --definition joint.toml --target 30
+                            with another torque, drawn at three angles
+  giajax joint joint.toml --out joint --target-angle 30
+                            your joint, and the pressures for 30 deg
   giajax joint --out joint --set alpha.offset=0.05 --force
+                            with another number
 
 \b
 It writes
-  fig09.png, fig09.csv    contraction and force against angle, without corrections
+  fig09.png, fig09.csv    contraction and force, without corrections
   fig10.png, fig10.csv    the same with alpha and beta
   corrections.png, .csv   alpha and beta, as read and as printed (an erratum)
-  joint.png, points.csv   the joint itself at a few angles, and its lettered points
-  equilibria.png, .csv    where the pressures for an angle hold the joint, and how stiffly
+  joint.png, points.csv   the joint at a few angles, and its lettered points
+  equilibria.png, .csv    where two pressures hold the joint, and how stiffly
 
-A definition is a TOML file with [joint] and [muscle] sections, such as the sidecar of a run.""")
+DEFINITION is a TOML file with [joint] and [muscle] sections, such as the sidecar of a run.""",
+    group="arm",
+    old={"--definition": "DEFINITION", "--target": "--target-angle"},
+)
 def joint(
     out: Annotated[Path, "DIR", "Folder for pictures and numbers."],
-    definition: Annotated[Path | None, "FILE.toml", "[joint] and [muscle] to use."] = None,
+    definition: Annotated[Path | None, argument("DEFINITION", "Its [joint] and [muscle].")] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter of joint or muscle, SI.", "--set"] = None,
     torque: Annotated[float | None, "N_M", "Torque on the joint. [default: 0.3]"] = None,
     angle: Annotated[list[float] | None, "DEG", "Draw the joint at this angle."] = None,
-    target: Annotated[float, "DEG", "Angle whose two pressures are shown."] = 20.0,
+    target_angle: Annotated[float, "DEG", "Angle whose two pressures are shown."] = 20.0,
     force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Draw one joint at rest: paths, forces, corrections and equilibria.
+    """Draw one joint at rest: paths, forces and equilibria.
 
     The paper's figs 9 and 10, the joint itself at a few angles, and where two pressures hold it.
     """
@@ -62,7 +72,8 @@ def joint(
 
     sections = Definition() if definition is None else Definition.load(definition)
     angles = list(angle or _ANGLES)
-    for option, value in (*(("--angle", value) for value in angles), ("--target", target)):
+    shown = (*(("--angle", value) for value in angles), ("--target-angle", target_angle))
+    for option, value in shown:
         if not -60 <= value <= 60:
             raise InputError(f"{option} is {value:g}: give an angle from -60 to 60 deg")
     values = settings(pairs)
@@ -71,10 +82,12 @@ def joint(
 
     check_output_folder(out, JOINT_FILES, force=force)
     pair = _pair(sections, values, torque)
-    typer.echo("drawing, and solving for every equilibrium ...", err=True)
-    write_folder(out, joint_files(pair, angles, target), force=force)
-    _show(pair, target)
-    say_written(out, JOINT_FILES)
+    if not quiet:
+        typer.echo("drawing, and solving for every equilibrium ...", err=True)
+    write_folder(out, joint_files(pair, angles, target_angle), force=force)
+    if not quiet:
+        _show(pair, target_angle)
+        say_written(out, JOINT_FILES)
 
 
 def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
@@ -138,37 +151,47 @@ def _show(pair: Any, target: float) -> None:
         print("in a range of angles nothing acts on the joint: it rests at any of them")
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
   giajax fit --data loop.csv --out loop
-  giajax compensate --model loop/result.json --target target.csv --out command.csv
-  giajax compensate --loop loop.csv --travel 40 --target target.csv --out command.csv
+                            a fit to invert
+  giajax compensate loop --target target.csv --to command.csv
+                            commands by its inverse
+  giajax compensate --loop loop.csv --travel 40 --target target.csv \\
+      --to command.csv      commands by a measured loop, without a fit
 
 target.csv has one column, the angle (angle_deg) or output that is the target, and the time if
-there is one. What the fitted model predicts for the commands is written beside them.""")
+there is one. What the fitted model predicts for the commands is written beside them.""",
+    group="plan",
+    old={"--model": "RESULT", "--out": "--to"},
+)
 def compensate(
     target: Annotated[Path, "RUN.csv", "The target outputs."],
-    out: Annotated[Path, "RUN.csv", "The commands to write."],
-    model: Annotated[Path | None, "RESULT", "A fit (result.json or its folder) to invert."] = None,
+    to: ToRun,
+    result: Annotated[
+        Path | None, argument("RESULT", "A fit (result.json or its folder) to invert.")
+    ] = None,
     loop: Annotated[Path | None, "RUN.csv", "A measured loop for eq. (12), not a fit."] = None,
     travel: Annotated[
         float | None,
-        "X",
+        "TRAVEL",
         "With --loop: travel from branch to branch, in the unit of the target. "
         "[default: a third of the range]",
     ] = None,
     rename: Renamed = None,
     digits: Digits = 9,
-    force: ForceRun = False,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
     """Turn target outputs into the commands that reach them.
 
-    With --model by the inverse of the fitted operator, exact for Prandtl-Ishlinskii and its
+    With a fit by the inverse of the fitted operator, exact for Prandtl-Ishlinskii and its
     modified form; with --loop by eq. (12) of the paper.
     """
-    if (model is None) == (loop is None):
+    if (result is None) == (loop is None):
         raise typer.BadParameter(
-            "commands need one source: give --model with a fit, or --loop with a run, and not both"
+            "commands need one source: give a fit, or --loop with a run, and not both"
         )
     if travel is not None and loop is None:
         raise typer.BadParameter("--travel goes with --loop: give both, or leave it out")
@@ -177,7 +200,7 @@ def compensate(
     from ..recordings import Definition, Run, check_output_run, parse_rename, read_run, write_run
     from ..schema import HYSTERESIS
 
-    check_output_run(out, force=force)
+    check_output_run(to, force=force)
     renamed = parse_rename(rename or [])
     definition = Definition.parse({"model": HYSTERESIS.name})
     plan = read_run(target, rename=renamed, definition=definition)
@@ -186,9 +209,9 @@ def compensate(
     from ..fitting import load_result
 
     goal, fitted = target_channel(plan), None
-    if model is not None:
-        fitted = load_result(model).model
-        compensator, how = compensator_for_model(fitted), f"inverse of {model}"
+    if result is not None:
+        fitted = load_result(result).model
+        compensator, how = compensator_for_model(fitted), f"inverse of {result}"
     else:
         assert loop is not None
         across = None if travel is None else float(goal.to_si(travel))
@@ -212,10 +235,12 @@ def compensate(
         origin += f"; {name} is what the fitted model predicts"
     definition = definition.merged_with(Definition.parse({"origin": origin}))
     write_run(
-        out, plan.times, values, units=units, definition=definition, digits=digits, force=force
+        to, plan.times, values, units=units, definition=definition, digits=digits, force=force
     )
+    if quiet:
+        return
     low, high = (float(channel.from_si(end)) for end in (commands.min(), commands.max()))
     typer.echo(
-        f"wrote {out}: {len(commands)} commands from {low:.4g} to {high:.4g} {channel.unit}; "
-        f"see: giajax check {shlex.quote(str(out))}"
+        f"wrote {to}: {len(commands)} commands from {low:.4g} to {high:.4g} {channel.unit}; "
+        f"see: giajax check --data {shlex.quote(str(to))}"
     )

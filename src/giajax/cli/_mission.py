@@ -5,7 +5,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +14,7 @@ from ..runtime.text import InputError
 from ._commands import (
     Force,
     Json,
+    Quiet,
     Texts,
     argument,
     command,
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 def tell(
     mission: "Mission", outcome: "Outcome", out: Path | None, origin: str, *,
-    as_json: bool, force: bool,
+    as_json: bool, force: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Tell and write what came of one mission."""
     from ..apps.mission import mission_files, mission_json, recorded
@@ -42,6 +43,7 @@ def tell(
         write_run(out / "run.csv", run.times, run.values, definition=run.definition, force=force)
     if as_json:
         typer.echo(mission_json(mission, outcome))
+    if as_json or quiet:
         return
     rows = []
     for each in outcome.touched:
@@ -65,7 +67,13 @@ def tell(
 
 
 def tell_cases(
-    mission: "Mission", cases: "Cases", out: Path | None, *, as_json: bool, force: bool
+    mission: "Mission",
+    cases: "Cases",
+    out: Path | None,
+    *,
+    as_json: bool,
+    force: bool,
+    quiet: bool,
 ) -> None:
     """Tell and write what came of many missions."""
     from ..apps.mission import CASES_FILES, cases_files, cases_json
@@ -74,6 +82,7 @@ def tell_cases(
         write_folder(out, cases_files(mission, cases), force=force)
     if as_json:
         typer.echo(cases_json(mission, cases))
+    if as_json or quiet:
         return
     rows = [
         (
@@ -97,14 +106,21 @@ _RUN = ("run.csv", "run.toml")
 _SPEEDS = "0,0.05,0.1,0.15,0.2,0.25,0.3"
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
   giajax mission missions/naraha.toml
+                            once, in the air of the file
   giajax mission missions/naraha.toml --speed 0.3 --seed 4 --out flown
+                            in another wind, with files and a run
   giajax mission missions/naraha.toml --page flown.html
+                            with a page that plays it
   giajax view flown/run.csv
+                            the run in a browser
   giajax mission missions/naraha.toml --cases 100 --speeds 0,0.1,0.2,0.3
+                            how often it succeeds, against the wind
   giajax mission missions/naraha.toml --case 17 --speed 0.3 --out flown
+                            one of those again
 
 \b
 It writes
@@ -123,25 +139,29 @@ The file is that of an arm with [[arm.obstacles]], a [camera.NAME] at its tip, a
   latency_s = 0.4
   approach = {joints = [1, 3], angles_deg = [-20.0, -30.0]}
   [mission.spread]            # of --cases, by parameter
-  "joints.damping" = 0.5""")
+  "joints.damping" = 0.5""",
+    group="plan",
+)
 def mission(
     context: typer.Context,
-    file: Annotated[Path, argument("FILE.toml", "The mission.")],
+    file: Annotated[Path, argument("MISSION", "Its file; see below.")],
     speed: Annotated[float | None, "M/S", "Of the air, in place of the file's."] = None,
     seed: Annotated[int, "N", "Of air and pixels; of --cases the first.", 0] = 0,
     case: Annotated[int | None, "N", "One of --cases again, by its seed: arm and air.", 0] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter of the arm.", "--set"] = None,
     cases: Annotated[int | None, "N", "Fly so many at each of --speeds.", 1] = None,
-    speeds: Annotated[str, "M/S,...", "Of the air, for --cases."] = _SPEEDS,
+    speeds: Annotated[str, "M/S,M/S", "Of the air, for --cases."] = _SPEEDS,
     out: Annotated[Path | None, "DIR", "Write numbers and pictures there."] = None,
     as_json: Json = False,
     page: Annotated[Path | None, "FILE.html", "Write a page that plays it."] = None,
     force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Have an operator bring an arm to an opening by the camera at its tip.
+    """Have an operator bring an arm to an opening by its camera.
 
-    As in the paper's mock-up: gusts, joints that remember, a late picture, a time limit. Once, as
-    a run that `giajax view` plays, or many times: success against the speed of the air.
+    The camera is at the tip. As in the paper's mock-up: gusts, joints that remember, a late
+    picture, a time limit. Once, as a run that `giajax view` plays, or many times: success against
+    the speed of the air.
     """
     from ..recordings import Definition, check_output_files, check_output_folder, write_files
 
@@ -167,9 +187,10 @@ def mission(
     planned = Mission.from_definition(definition, str(file))
     planned = planned.with_model(with_settings(planned.model, values))
     if cases is not None:
-        done = fly_cases(planned, flown_at, cases, seed=seed, on_case=_progress())
+        on_case = None if quiet else _progress()
+        done = fly_cases(planned, flown_at, cases, seed=seed, on_case=on_case)
         if done.cases:
-            tell_cases(planned, done, out, as_json=as_json, force=force)
+            tell_cases(planned, done, out, as_json=as_json, force=force, quiet=quiet)
         if len(done.cases) < cases * len(flown_at):
             typer.echo(f"stopped after {len(done.cases)} of {cases * len(flown_at)}", err=True)
             raise typer.Exit(130)
@@ -182,14 +203,17 @@ def mission(
         check_viser()
     flown = planned if case is None else planned.case(case)
     outcome = flown.fly(seed if case is None else case, drawn=planned)
-    tell(flown, outcome, out, origin(context), as_json=as_json, force=force)
+    how: dict[str, Any] = {"as_json": as_json, "force": force, "quiet": quiet}
+    tell(flown, outcome, out, origin(context), **how)
     if page is not None:
         from ..apps.viewer import Show, recording
         from ..models import arm_scene
 
         content = recording([Show("mission", arm_scene(motion(flown, outcome)))])
         write_files({page: content}, force=force)
-        typer.echo(f"wrote {page} ({len(content) / 1e6:.1f} MB): open it in a browser", err=True)
+        if not quiet:
+            size = f"{len(content) / 1e6:.1f} MB"
+            typer.echo(f"wrote {page} ({size}): open it in a browser", err=True)
 
 
 def _progress() -> Callable[[int, int], None] | None:

@@ -1,4 +1,4 @@
-"""`giajax parameters` and `predict`, and what `--model` names in every command alike."""
+"""`giajax parameters` and `predict`, and the model that a command is given, in all alike."""
 
 import json
 from collections.abc import Sequence
@@ -9,7 +9,17 @@ import typer
 
 from ..runtime.process import configure
 from ..runtime.text import InputError
-from ._commands import ForceFile, Json, OnlyChannels, Renamed, Texts, argument, command, print_table
+from ._commands import (
+    Force,
+    Json,
+    OnlyChannels,
+    Quiet,
+    Renamed,
+    Texts,
+    argument,
+    command,
+    print_table,
+)
 
 if TYPE_CHECKING:
     from ..models import AbstractModel
@@ -48,7 +58,7 @@ def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
     return model_for(runs) if path is None or not is_result(path) else load_result(path).model
 
 
-def arm_of(path: Path | None, preset: str | None = None) -> "Definition":
+def arm_of(path: Path | None, preset: str | None = None, *, quiet: bool = False) -> "Definition":
     """What the file of an arm says; a line says where neither it nor an option names a preset."""
     from ..recordings import Definition
     from ..schema import ARM, ArmSection, from_default_preset, preset_sentence
@@ -57,7 +67,7 @@ def arm_of(path: Path | None, preset: str | None = None) -> "Definition":
         return Definition()
     definition = Definition.load(path)
     taken = from_default_preset(definition.section(ArmSection))
-    if taken and preset is None and definition.model in (None, ARM.name):
+    if taken and not quiet and preset is None and definition.model in (None, ARM.name):
         typer.echo(f"note: {path}: {preset_sentence(taken)}", err=True)
     return definition
 
@@ -65,23 +75,30 @@ def arm_of(path: Path | None, preset: str | None = None) -> "Definition":
 _FEW = 3  # an array of more elements is shown by its range
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax parameters
-  giajax parameters joint.csv
+  giajax parameters         of the paper's arm
+  giajax parameters --data joint.csv
+                            of the model of a run
   giajax parameters --preset takeichi_20m_full
+                            of another preset
   giajax parameters --arm my_arm.toml
-  giajax parameters --json
-  giajax fit --data run.csv --free air.drag_coefficient --free "links.mass[19]"
+                            of your arm
+  giajax parameters --json  as JSON
+  giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
+                            fit some of them
 
-\b
-value: what the preset, the file or the sidecar of the run says, or else the default.
-'off': left out of the model, at no cost; --start or --free of a fit switches it on,
-with the value listed.
-An array has one element for each link or joint; links.mass[0] is its first one.
-'assumed': the paper gives no figure, and a fit should find one.""")
+value: what the preset, the file or the sidecar of the run says, or else the
+default. 'off': left out of the model, at no cost; --start or --free of a fit
+switches it on, with the value listed. An array has one element for each link
+or joint; links.mass[0] is its first one.
+'assumed': the paper gives no figure, and a fit should find one.""",
+    group="data",
+    old_words="--data",
+)
 def parameters(
-    run: Annotated[Path | None, argument("[RUN]", "A run whose model it is. [the arm]")] = None,
+    data: Annotated[Path | None, "RUN.csv", "A run whose model it is. [the arm]"] = None,
     arm: Annotated[Path | None, "FILE.toml", "The arm, and its sensors, of this file."] = None,
     preset: Annotated[str | None, "NAME", "Preset of the arm. [takeichi_20m]"] = None,
     links: Annotated[int | None, "N", "Number of links of the arm."] = None,
@@ -93,9 +110,9 @@ def parameters(
     """
     from ..recordings import Definition, read_run
 
-    if run is not None and (arm or preset or links is not None):
+    if data is not None and (arm or preset or links is not None):
         raise InputError("a run says which model it is of: leave out --arm, --preset and --links")
-    recorded = None if run is None else read_run(run)
+    recorded = None if data is None else read_run(data)
     definition = arm_of(arm, preset)
     options = {"preset": preset, "links": links}
     section = {key: value for key, value in options.items() if value is not None}
@@ -200,21 +217,29 @@ def _as_fitted(stored: dict[str, Any], data: Sequence[Path]) -> dict[str, str]:
     return {old: new for old, new in renamed.items() if not has_meaning(old)}
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax predict --model giajax-out/run --data other.csv
-  giajax predict --model giajax-out/triple_pendulum --against published.toml
+  giajax predict giajax-out/run --data other.csv
+                            how well a fit predicts another run
+  giajax predict giajax-out/triple_pendulum --against published.toml \\
       --data validation_01.csv --data validation_02.csv
-  giajax predict --model my_arm.toml --data run.csv --refit-initial --out errors.csv
-  giajax predict --model giajax-out/run --data other.csv --without camera,wind
+                            two runs, beside another model
+  giajax predict my_arm.toml --data run.csv --refit-initial --to errors.csv
+                            from the start that fits best, into a table
+  giajax predict giajax-out/run --data other.csv --without camera,wind
+                            a run with a camera and a wind of its own
 
-\b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or
 other section) states a model with all its parameters.
 --without names what another run has its own of: its sidecar states it, or it is left out.
-A NAME is a group of parameters (camera, encoder, marker), a path, or the end of one.""")
+A NAME is a group of parameters (camera, encoder, marker), a path, or the end of
+one.""",
+    group="fit",
+    old={"--model": "MODEL", "--out": "--to"},
+)
 def predict(
-    model: Annotated[Path, "MODEL", "What predicts; see below."],
+    model: Annotated[Path, argument("MODEL", "What predicts; see below.")],
     data: Annotated[list[Path], "RUN.csv", "A recorded run."],
     against: Annotated[Path | None, "MODEL", "Another model, and the ratio of errors."] = None,
     config: Annotated[
@@ -226,8 +251,9 @@ def predict(
     rename: Renamed = None,
     refit_initial: Annotated[bool, "Fit the initial state of each run first."] = False,
     without: Annotated[Texts, "NAME,NAME", "Take this of the run, not of the fit."] = None,
-    out: Annotated[Path | None, "FILE.csv", "Write the table there."] = None,
-    force: ForceFile = False,
+    to: Annotated[Path | None, "TABLE.csv", "Write the table there."] = None,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
     """Predict runs, and print the RMSE of each channel.
 
@@ -244,8 +270,8 @@ def predict(
         write_files,
     )
 
-    if out is not None:
-        check_output_files([out], force=force)
+    if to is not None:
+        check_output_files([to], force=force)
     if without and not is_result(model):
         raise InputError(f"{model} is no fit that --without takes something from: leave it out")
     sections = {} if config is None else Definition.load(config).contents()
@@ -263,7 +289,8 @@ def predict(
         renamed = _as_fitted(stored_result(model)[1], data)
         if renamed:
             said = ", ".join(f"{old} as {new}" for old, new in renamed.items())
-            typer.echo(f"columns are read as in the fit: {said}", err=True)
+            if not quiet:
+                typer.echo(f"columns are read as in the fit: {said}", err=True)
 
     def runs_for(source: Path) -> "list[Run]":
         return read_runs(data, definition_of(source).merged_with(settings), rename=renamed)
@@ -278,7 +305,8 @@ def predict(
     rows = [[getattr(one, key) for key in keys] for one in compared]
     if against is None:
         headings, rows = headings[:-2], [row[:-2] for row in rows]
-    print_table(headings, rows, left=3)
-    if out is not None:
+    if not quiet:
+        print_table(headings, rows, left=3)
+    if to is not None:
         lines = [",".join(str(cell) for cell in row) for row in [headings, *rows]]
-        write_files({out: ("\n".join(lines) + "\n").encode()}, force=force)
+        write_files({to: ("\n".join(lines) + "\n").encode()}, force=force)

@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.process import configure
-from ..runtime.text import InputError
 from ._commands import (
+    Force,
+    Json,
     ManyProgress,
     Paths,
+    Quiet,
     Renamed,
     Scheduler,
     Workers,
@@ -48,6 +50,7 @@ class OnResult:
     scheduler: str | None = None
     folder: Path | None = None
     out: Path | None = None
+    page: Path | None = None
     figures: bool = False
     force: bool = False
     as_json: bool = False
@@ -100,13 +103,7 @@ class OnResult:
 
         The study is a function of `giajax.studies`; the file is `STUDY.json`.
         """
-        from ..recordings import check_output_files
-
-        path = self.home / f"{study}.json" if self.out is None else self.out
-        picture = path.with_suffix(".png")
-        if picture == path:
-            raise InputError(f"--out {path} is the name of a picture: give that of a .json file")
-        check_output_files([path, *([picture] if self.figures else [])], force=self.force)
+        path = self.checked(study)
         fitted = self.fitted
         from .. import studies
 
@@ -115,12 +112,25 @@ class OnResult:
         self.finish(found, files, force=self.force, most=most)
         end_if_stopped(self.folder)
 
+    def checked(self, study: str) -> Path:
+        """The file of a study, which may be written: in `out`, or else beside the result."""
+        from ..recordings import check_output_folder
+
+        path = (self.home if self.out is None else self.out) / f"{study}.json"
+        if self.out is not None and self.out.suffix == ".json":
+            path = self.out  # the file itself, as long as old forms work
+        pictures = [path.with_suffix(".png").name] if self.figures else []
+        check_output_folder(path.parent, [path.name, *pictures], force=self.force)
+        return path
+
     def finish(
         self, found: Any, files: Mapping[Path, bytes], *, force: bool, most: int | None = None
     ) -> None:
         """Write files, and print a record."""
-        from ..recordings import write_files
+        from ..recordings import make_folder, write_files
 
+        for folder in {path.parent for path in files}:
+            make_folder(folder)
         write_files(files, force=force)
         if self.as_json:
             typer.echo(found.to_json(), nl=False)
@@ -155,18 +165,20 @@ def show(found: Any, result: "FitResult", most: int | None = None) -> None:
 def on_result(
     examples: str,
     *,
+    group: str,
     workers: bool = False,
     folder: str | None = None,
-    out: tuple[str, str] | None = None,
+    out: str | None = None,
+    page: str | None = None,
     figures: str | None = None,
-    force: str = "Write over files.",
-    as_json: str | None = None,
-    quiet: str = "Print errors only.",
+    as_json: bool = False,
+    old: Mapping[str, str | tuple[str, ...]] | None = None,
+    old_words: str = "",
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a function of `OnResult` and its own options a command on a result.
 
-    The options `folder`, `figures`, `force`, `as_json` and `quiet` are what the help says of them,
-    and there are none without; `out` also what it writes. It has `workers` where it has tasks.
+    The options `folder`, `out`, `page` and `figures` are what the help says of them, and there are
+    none without. It has `workers` where it has tasks. All others are as of `command`.
     """
     shared: list[tuple[str, Any, Any]] = [
         ("data", Annotated[Paths, "RUN.csv", "A fitted run, if it has moved."], None),
@@ -174,11 +186,12 @@ def on_result(
         ("workers", workers and Workers, None),
         ("scheduler", workers and Scheduler, None),
         ("folder", folder and Annotated[Path | None, "DIR", folder], None),
-        ("out", out and Annotated[Path | None, out[0], out[1]], None),
+        ("out", out and Annotated[Path | None, "DIR", out], None),
+        ("page", page and Annotated[Path | None, "FILE.html", page], None),
         ("figures", figures and Annotated[bool, figures], True),
-        ("force", Annotated[bool, force], False),
-        ("as_json", as_json and Annotated[bool, "--json", as_json], False),
-        ("quiet", Annotated[bool, quiet], False),
+        ("force", Force, False),
+        ("as_json", as_json and Json, False),
+        ("quiet", Quiet, False),
     ]
     added = [
         Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
@@ -196,6 +209,7 @@ def on_result(
             function(given, **options)
 
         keywords = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in own]
-        return command(examples)(with_signature(run, [result, *keywords, *added]))
+        registered = command(examples, group=group, old=old, old_words=old_words)
+        return registered(with_signature(run, [result, *keywords, *added]))
 
     return register

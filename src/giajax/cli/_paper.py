@@ -12,6 +12,7 @@ from ..runtime.text import InputError
 from ._commands import (
     Ended,
     Force,
+    Quiet,
     argument,
     command,
     print_table,
@@ -27,32 +28,39 @@ INVERSE = "table3_inverse"
 _PAGE = "index.html"
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
   giajax paper fig5 --out paper
-  giajax paper all --out paper          everything, and index.html; once more after it was
-                                        stopped, and it goes on
+                            one figure, its numbers and their source
+  giajax paper all --out paper
+                            everything, and index.html; once more after it
+                            was stopped, and it goes on
   giajax paper table3 --inverse --out paper
+                            the arms of which the printed table is
 
 \b
 NAME is
-  fig5      links 6, 12 and 20 after a step of the base joint, with and without air
+  fig5      links 6, 12 and 20 after a step of the base, with and without air
   fig6      the controller in the whole arm: muscles by pressures, and springs
   fig9      contraction and force of a muscle in a joint, without corrections
   fig10     the same with alpha and beta
   fig12     one link with hysteresis, without and with compensation
-  fig19     links 2, 6, 12 and 20 in models and in a stand-in for the experiment
-  table3    how well the models follow it: the concordance with and without air; with
-            --inverse arms for which it would be as the paper prints it (many minutes)
+  fig19     links 2, 6, 12 and 20 in models, and a stand-in for the experiment
+  table3    how well the models follow it: the concordance with and without
+            air; with --inverse arms for which it would be as the paper prints
+            it (many minutes)
 
 Each writes NAME.png, NAME.csv and NAME.json, and says what is printed in the paper, assumed, or
-reconstructed.""")
+reconstructed.""",
+    group="paper",
+)
 def paper(
     name: Annotated[str, argument("NAME", "See below, or 'all'.")],
     out: Annotated[Path, "DIR", "Folder for pictures and numbers."],
     inverse: Annotated[bool, "Of table3: which arms give the numbers that are printed."] = False,
     force: Force = False,
-    quiet: Annotated[bool, "Print the tables only."] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Make a figure or a table of the paper again.
 
@@ -111,29 +119,40 @@ def _made(
     for each, shown in reproduce(names, recordings, progress=say_progress(quiet)):
         write_folder(out, reproduced_files(each, shown), force=force)
         made[each] = reproduced_record(each, shown)
+        if quiet:
+            continue
         print(shown.title)
         print_table(shown.headings, shown.rows)
         print()
     return made
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
   giajax hysteresis --out fig12
+                            the experiment, as files
   giajax hysteresis --out fig12 --travel 20 --force
+                            with another travel
   giajax fit --data fig12/recording.csv
-  giajax compensate --model fig12/result.json --target target.csv --out command.csv
+                            the fit that its inverse compensation is of
+  giajax compensate fig12/result.json --target target.csv --to command.csv
+                            other commands by that fit
 
 The folder gets fig12.png, its numbers in fig12.csv, errors.csv, the recording that both
-compensations were made from, and the fit of the inverse one.""")
+compensations were made from, and the fit of the inverse one.""",
+    group="arm",
+)
 def hysteresis(
     out: Annotated[Path, "DIR", "Where the files go."],
-    travel: Annotated[float, "DEG", "Travel within which eq. (12) changes its branch."] = 40.0,
+    travel: Annotated[
+        float, "TRAVEL", "Travel within which eq. (12) changes its branch, deg."
+    ] = 40.0,
     seed: Annotated[int, "N", "Of all noise.", 0] = 0,
     force: Force = False,
-    quiet: Annotated[bool, "Print the errors only."] = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Follow angles with a hysteretic joint, without compensation and with two.
+    """Follow angles with a hysteretic joint, compensated or not.
 
     The experiment of the paper's section IV.A and fig. 12 on a simulated joint: eq. (12) and the
     inverse of a modified Prandtl-Ishlinskii operator, judged on the paper's history and on
@@ -155,7 +174,8 @@ def hysteresis(
         shares = [f"{trial.mean / none.mean:.0%}", f"{trial.largest / none.largest:.0%}"]
         rows.append([trial.history.name, trial.compensation, *errors, *shares])
     headings = ["history", "compensation", "mean error deg", "largest deg", "of none", "of none"]
-    print_table(headings, rows, left=2)
+    if not quiet:
+        print_table(headings, rows, left=2)
     files = write_one_link(study, out, force=force)
     if not quiet:
         say_written(out, [path.name for path in files])

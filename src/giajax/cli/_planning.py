@@ -14,6 +14,7 @@ from ._commands import (
     Force,
     Json,
     Links,
+    Quiet,
     Replayed,
     Settings,
     Solver,
@@ -57,22 +58,31 @@ _DEFAULT_RAMP = "1=30"
 _SENSITIVITY_FILES = ("sensitivity.png", "sensitivity.csv", "information.csv")
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
   giajax sensitivity --parameter air.drag_coefficient --out drag
-  giajax sensitivity --parameter air.drag_coefficient --parameter joints.pitch_stiffness
-                     --ramp 1=20 --ramp 9=-15@3:2 --noise position_m=0.02 --out both
-  giajax sensitivity --parameter camera.origin --arm my_arm.toml --channels tip --out camera
-  giajax sensitivity run.csv --parameter joints.damping --out recorded
+                            of the paper's arm
+  giajax sensitivity --parameter air.drag_coefficient \\
+      --parameter joints.pitch_stiffness --ramp 1=20 --ramp 9=-15@3:2 \\
+      --noise position_m=0.02 --out both
+                            of two parameters, in another motion
+  giajax sensitivity --parameter camera.origin --arm my_arm.toml \\
+      --channels tip --out camera
+                            of your arm, whose tip is filmed
+  giajax sensitivity --data run.csv --parameter joints.damping --out recorded
+                            of a recorded run
 
-\b
 Without a run: the base joint to 30 deg within a second, all links filmed.
 Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.csv
-(share of each link, and the standard error with it alone).""")
+(share of each link, and the standard error with it alone).""",
+    group="plan",
+    old_words="--data",
+)
 def sensitivity(
     parameter: Annotated[list[str], "PATH", "A parameter ('giajax parameters')."],
     out: Annotated[Path, "DIR", "Folder for picture and tables."],
-    run: Annotated[Path | None, argument("[RUN.csv]", "A run of any model, as recorded.")] = None,
+    data: Annotated[Path | None, "RUN.csv", "A run of any model, as recorded."] = None,
     arm: Annotated[Path | None, "FILE.toml", "The arm: [arm] of this file."] = None,
     links: Links = None,
     pairs: Settings = None,
@@ -82,7 +92,7 @@ def sensitivity(
     wind: Wind = None,
     duration: Annotated[float | None, "S", "Length of the run, s. [25]"] = None,
     rate: Annotated[float | None, "HZ", "Samples per second. [10]"] = None,
-    channels: Annotated[Texts, "CHANNELS", "Recorded: link06, tip, joints, all. [all]"] = None,
+    channels: Annotated[Texts, "CHANNEL", "Recorded: link06, tip, joints, all. [all]"] = None,
     noise: Annotated[
         Texts,
         "KEY=VALUE",
@@ -90,10 +100,12 @@ def sensitivity(
         "position_m=0.01, angle_deg=0.5, pixel_px=2]",
     ] = None,
     force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Show how strongly, when and where a motion responds to parameters.
+    """Show when and where a motion responds to parameters.
 
-    And what that is worth: the standard errors to expect of a fit, before anything is recorded.
+    How strongly, and what that is worth: the standard errors to expect of a fit, before anything
+    is recorded.
     """
     from ..recordings import check_output_folder, read_run
 
@@ -101,10 +113,10 @@ def sensitivity(
     check_output_folder(out, _SENSITIVITY_FILES, force=force)
     typed = settings(pairs)
     again = (arm, step, ramp, command, wind, links, duration, rate)
-    if run is not None and any(value is not None and value != [] for value in again):
+    if data is not None and any(value is not None and value != [] for value in again):
         raise InputError("a run brings its own arm and motion: leave out the options for them")
-    recorded = None if run is None else read_run(run)
-    sections = definition_from_options(arm, links, wind)
+    recorded = None if data is None else read_run(data)
+    sections = definition_from_options(arm, links, wind, quiet=quiet)
     replayed = replayed_run(command, sections, step or ramp)
     configure()
     from ..apps.synthetic import Drive, planned, sampled
@@ -150,8 +162,9 @@ def sensitivity(
     title = f"{recorded.name}: sensitivity, and the information in each body"
     files["sensitivity.png"] = to_png(sensitivity_figure(sensitivities, noises, title))
     write_folder(out, files, force=force)
-    _show_sensitivity(sensitivities, noises, information_shares(sensitivities, noises))
-    say_written(out, _SENSITIVITY_FILES)
+    if not quiet:
+        _show_sensitivity(sensitivities, noises, information_shares(sensitivities, noises))
+        say_written(out, _SENSITIVITY_FILES)
 
 
 def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) -> list[float]:
@@ -197,6 +210,8 @@ def source_of(
     free: list[str],
     solver: str,
     tolerance: float,
+    *,
+    quiet: bool = False,
 ) -> tuple["ArmModel | FitResult", dict[str, Any]]:
     """The arm or the fit, and what a file says of what is free, priors, ties and the start.
 
@@ -216,7 +231,7 @@ def source_of(
         return dataclasses.replace(fitted, model=model), {**known, "definition": _kept(first)}
     from ..recordings import read_sidecar
 
-    definition = definition_from_options(source, links, None)
+    definition = definition_from_options(source, links, None, quiet=quiet)
     fit = definition.fit
     if source is not None and fit.data:
         # What a fit definition does not say of the arm, the sidecar of its first run does.
@@ -259,26 +274,37 @@ _DESIGN_FILES = ("command.csv", "command.toml", "design.json", "design.png")
 _DIGITS = 12
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax design giajax-out/run --for air.drag_coefficient --out next
-  giajax design --for air.drag_coefficient --joints 1,3 --angle 30 --angle-rate 30
-                --duration 25 --markers 3 --out next
-  giajax design fits/base_step.toml --for air.drag_coefficient
-                --for joints.pitch_stiffness --criterion D --channels link06_z,link20_z
-                --out next
-  giajax simulate --command next/command.csv --out rehearsal.csv
+  giajax design giajax-out/run --parameter air.drag_coefficient --out next
+                            after a fit
+  giajax design --parameter air.drag_coefficient --joints 1,3 --max-angle 30 \\
+      --max-angle-rate 30 --duration 25 --markers 3 --out next
+                            of the paper's arm, within limits
+  giajax design fits/base_step.toml --parameter air.drag_coefficient \\
+      --parameter joints.pitch_stiffness --criterion D \\
+      --channels link06_z,link20_z --out next
+                            for two parameters of a fit definition
+  giajax simulate --command next/command.csv --to rehearsal.csv
+                            rehearse it
 
-\b
-SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML file whose
-[arm] states an arm; without it the preset. Writes command.csv, which an operator can
-run, with its sidecar, design.json and design.png.""")
+SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML
+file whose [arm] states an arm; without it the preset. Writes command.csv,
+which an operator can run, with its sidecar, design.json and design.png.""",
+    group="plan",
+    old={
+        "--for": "--parameter",
+        "--uncertainty": "--relative-uncertainty",
+        "--angle": "--max-angle",
+        "--angle-rate": "--max-angle-rate",
+        "--iterations": "--max-iterations",
+    },
+)
 def design(
-    wanted: Annotated[list[str], "PATH", "A parameter to find.", "--for"],
+    parameter: Annotated[list[str], "PATH", "A parameter to find."],
     out: Annotated[Path, "DIR", "Folder for the files."],
-    source: Annotated[
-        Path | None, argument("[SOURCE]", "The arm or a fit of it; see below.")
-    ] = None,
+    source: Annotated[Path | None, argument("SOURCE", "The arm or a fit of it; see below.")] = None,
     links: Links = None,
     pairs: Settings = None,
     free: Annotated[Texts, "PATH", "What a fit will have free, too. [as the source's]"] = None,
@@ -286,11 +312,11 @@ def design(
         str | None, "c|A|D", "Error of one, of all by the trace, or the determinant. [c, or A]"
     ] = None,
     joints: Annotated[str, "N,N", "Joints that may be commanded."] = "1",
-    angle: Annotated[float, "DEG", "Largest angle of a joint."] = 30.0,
-    angle_rate: Annotated[float, "DEG/S", "Largest rate of a joint."] = 30.0,
+    max_angle: Annotated[float, "DEG", "Largest angle of a joint."] = 30.0,
+    max_angle_rate: Annotated[float, "DEG/S", "Largest rate of a joint."] = 30.0,
     duration: Annotated[float, "S", "Length of the run, s."] = 25.0,
     rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
-    channels: Annotated[Texts, "CHANNELS", "May be recorded: link06, tip, link20_z. [all]"] = None,
+    channels: Annotated[Texts, "CHANNEL", "May be recorded: link06, tip, link20_z. [all]"] = None,
     markers: Annotated[int | None, "N", "How many links may be filmed. [all of them]"] = None,
     noise: Annotated[
         Texts,
@@ -298,7 +324,7 @@ def design(
         "Standard deviation, by a key of [noise]. [the fit's, or "
         "position_m=0.01, angle_deg=0.5, pixel_px=2]",
     ] = None,
-    uncertainty: Annotated[
+    relative_uncertainty: Annotated[
         float | None, "SHARE", "How uncertain what is free is, over its value. [the fit's, or 0.2]"
     ] = None,
     draws: Annotated[int, "N", "Values of what is uncertain to be robust over.", 1] = 4,
@@ -306,14 +332,14 @@ def design(
     knots: Annotated[int | None, "N", "Turns of each joint. [15, or 30 for all]"] = None,
     starts: Annotated[int, "N", "Commands that are compared first.", 1] = 6,
     follow: Annotated[int, "N", "How many of them are followed.", 1] = 2,
-    iterations: Annotated[int, "N", "Steps of the optimiser, from each.", 1] = 25,
+    max_iterations: Annotated[int, "N", "Steps of the optimiser, from each.", 1] = 25,
     solver: Solver = "springs5",
     tolerance: Tolerance = 1e-6,
     as_json: Json = False,
-    quiet: Annotated[bool, "No progress."] = False,
     force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Find the command of the next experiment, and what to film of it.
+    """Find the command of the next experiment, and what to film.
 
     Within limits of angle, rate and time it most lowers the standard error of chosen parameters,
     whatever they are within their present uncertainty. Ctrl-C keeps the best so far.
@@ -331,24 +357,25 @@ def design(
     from ..apps.design import Limits, design_experiment, design_figure, design_json, joint_count
     from ..report import to_png
 
-    limits = Limits(moving, math.radians(angle), math.radians(angle_rate), duration, rate)
-    given, known = source_of(source, links, values, free or [], solver, tolerance)
+    largest = (math.radians(max_angle), math.radians(max_angle_rate))
+    limits = Limits(moving, *largest, duration, rate)
+    given, known = source_of(source, links, values, free or [], solver, tolerance, quiet=quiet)
     names = channel_names(channels or ["all"], joint_count(given))
     found = design_experiment(
         given,
-        wanted,
+        parameter,
         limits,
-        criterion=criterion or ("c" if len(wanted) == 1 else "A"),
+        criterion=criterion or ("c" if len(parameter) == 1 else "A"),
         channels=names,
         markers=markers,
         noise=deviations(section, "--noise", names),
-        uncertainty=uncertainty,
+        uncertainty=relative_uncertainty,
         over="worst" if worst else "mean",
         draw_count=draws,
         knots=knots,
         starts=starts,
         follow=follow,
-        iterations=iterations,
+        iterations=max_iterations,
         progress=stop_if_asked if quiet else _Progress(),
         **known | ({"free": free} if free else {}),
     )
@@ -361,7 +388,7 @@ def design(
     write_run(out / "command.csv", run.times, run.commands, **how)
     if as_json:
         typer.echo(text)
-    else:
+    elif not quiet:
         _show_design(found)
         say_written(out, _DESIGN_FILES)
     if found.status == "interrupted":
@@ -415,4 +442,4 @@ def _show_design(found: "Design") -> None:
         within = f"{low:.2f} to {high:.2f} times the error foreseen"
         typer.echo(f"over {found.draws} draws of what is uncertain {within}")
     if found.status == "iteration limit":
-        typer.echo("stopped at the iteration limit: --iterations gives the search more steps")
+        typer.echo("stopped at the iteration limit: --max-iterations gives the search more steps")

@@ -13,6 +13,7 @@ from ..runtime.text import InputError
 from ._commands import (
     Force,
     Json,
+    Quiet,
     Renamed,
     Texts,
     argument,
@@ -32,20 +33,23 @@ if TYPE_CHECKING:
 _PAGE, _PICTURE = "shape.json", "shape.png"
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
   giajax shape command.csv --model giajax-out/run --out shaped
                      ZV, ZVD and EI, with what the fit leaves open
   giajax shape command.csv --model my_arm.toml --shaper ZVD --out shaped
                      one of them, for an arm that is stated
-  giajax simulate --command shaped/command_zvd.csv --out rehearsal.csv
+  giajax simulate --command shaped/command_zvd.csv --to rehearsal.csv
                      the arm, driven by one of them
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states an
 arm; without it the sidecar's is taken. Writes command_zv.csv and so on, which an
 operator can run, shape.json and shape.png. The residual is the largest distance of
-the tip from where it comes to rest, once the command has ended, in still air.""")
+the tip from where it comes to rest, once the command has ended, in still air.""",
+    group="plan",
+)
 def shape(
     run: Annotated[Path, argument("COMMAND.csv", "A run whose commands are shaped.")],
     out: Annotated[Path, "DIR", "Folder for the files."],
@@ -55,7 +59,7 @@ def shape(
     draws: Annotated[int, "N", "Values of what the fit leaves open to look at.", 0] = 20,
     rename: Renamed = None,
     as_json: Json = False,
-    quiet: Annotated[bool, "Print errors only."] = False,
+    quiet: Quiet = False,
     force: Force = False,
 ) -> None:
     """Shape a command so that the arm does not swing after it.
@@ -102,7 +106,7 @@ def shape(
         say_written(out, files)
         best = min(found.rows[1:], key=lambda row: (row.settled or math.inf, row.residual))
         path = shlex.quote(str(out / _file(best.name)))
-        typer.echo(f"next: giajax simulate --command {path} --out rehearsal.csv")
+        typer.echo(f"next: giajax simulate --command {path} --to rehearsal.csv")
 
 
 def _file(name: str) -> str:

@@ -13,14 +13,15 @@ from ..runtime.process import configure
 from ..runtime.text import InputError
 from ._commands import (
     Digits,
-    ForceRun,
+    Force,
     Links,
+    Quiet,
     Replayed,
     Solver,
     Texts,
     Tolerance,
+    ToRun,
     Wind,
-    argument,
     command,
     failed_simulation,
     origin,
@@ -155,12 +156,14 @@ _MOVE = re.compile(
 )
 
 
-def definition_from_options(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
+def definition_from_options(
+    arm: Path | None, links: int | None, wind: str | None, *, quiet: bool
+) -> "Definition":
     """What the arm file and the options say, the options on top."""
     from ..recordings import Definition
     from ..schema import ARM
 
-    definition = arm_of(arm)
+    definition = arm_of(arm, quiet=quiet)
     if definition.model not in (None, ARM.name):
         raise InputError(f"{arm} describes a {definition.model}: give the TOML file of an arm")
     if links is not None:
@@ -287,23 +290,31 @@ def facts_of(
     return facts
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax simulate --out run.csv --ramp 1=30
-  giajax simulate --out run.csv --step 1=30@0.5 --step 1=0@10 --missing 10
-                  --noise position_m=0.02 --noise angle_deg=0.5
-  giajax simulate --out run.csv --command logged.csv --set air.drag_coefficient=1.0
-  giajax simulate --out run.csv --arm my_arm.toml --ramp 2=-20@1:3 --channels all
-                  --set camera.origin=0.1,0,0
-  giajax simulate --out run.csv --wind 0,0.2,0 --gusts 0.3:5 --coherence 12
+  giajax simulate --ramp 1=30 --to run.csv
+                            the base joint moves to 30 deg
+  giajax simulate --step 1=30@0.5 --step 1=0@10 --missing 10 \\
+      --noise position_m=0.02 --noise angle_deg=0.5 --to run.csv
+                            there and back, with noise and gaps
+  giajax simulate --command logged.csv --set joints.damping=0.1 --to run.csv
+                            by the commands of a recording
+  giajax simulate --arm my_arm.toml --ramp 2=-20@1:3 --channels all \\
+      --set camera.origin=0.1,0,0 --to run.csv
+                            your arm, every link of it
+  giajax simulate --wind 0,0.2,0 --gusts 0.3:5 --coherence 12 --to run.csv
+                            at rest in gusts
 
-\b
-CHANNELS is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
+CHANNEL is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
 'joints' (all angles) or 'all' (every link). A row is added at each corner of a
-command that no sample falls on.""")
+command that no sample falls on.""",
+    group="data",
+    old={"--out": "--to"},
+)
 def simulate(
     context: typer.Context,
-    out: Annotated[Path, "RUN.csv", "The run to write."],
+    to: ToRun,
     arm: Annotated[Path | None, "FILE.toml", "Its [arm], [initial], [command] and [wind]."] = None,
     links: Links = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter ('giajax parameters').", "--set"] = None,
@@ -329,7 +340,7 @@ def simulate(
     ] = None,
     rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
     channels: Annotated[
-        Texts, "CHANNELS", "What is recorded, see below. [default: links 2, 6, 12, 20 and tip]"
+        Texts, "CHANNEL", "What is recorded, see below. [default: links 2, 6, 12, 20 and tip]"
     ] = None,
     noise: Annotated[Texts, "KEY=VALUE", "Standard deviation, by a key of [noise]."] = None,
     missing: Annotated[float, "PERCENT", "Share of each channel that is left empty."] = 0.0,
@@ -337,7 +348,8 @@ def simulate(
     solver: Solver = "springs5",
     tolerance: Tolerance = 1e-7,
     digits: Digits = 9,
-    force: ForceRun = False,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
     """Simulate an arm and write a run that `giajax fit` reads.
 
@@ -349,8 +361,8 @@ def simulate(
         raise InputError(f"--missing is {missing:g} %: give at least 0 and less than 100")
     check_tolerance(tolerance)
     section = noise_section(noise, "--noise")
-    check_output_run(out, force=force)
-    definition = definition_from_options(arm, links, wind)
+    check_output_run(to, force=force)
+    definition = definition_from_options(arm, links, wind, quiet=quiet)
     replayed = replayed_run(command, definition, step or ramp)
     configure()
     from ..apps.synthetic import Drive, sampled, synthesise
@@ -371,7 +383,8 @@ def simulate(
         sampling |= {"coherence": coherence, "seed": seed}
         wind_rows, left_out = gusts_of(gusts, definition, replayed, model.arm, **sampling)
         drives.append(wind_rows)
-        typer.echo(f"{left_out} (option --rate)")
+        if not quiet:
+            typer.echo(f"{left_out} (option --rate)")
     recorded = channel_names(channels or [], count)
     deviations(section, "--noise", recorded)
     facts = facts_of(definition, replayed, drives, model)
@@ -388,20 +401,24 @@ def simulate(
             missing=missing / 100,
             seed=seed,
             definition=Definition.parse({**facts, "truth": truth}, "simulate"),
-            name=out.stem,
+            name=to.stem,
         )
-    write_and_say(out, run, digits, force)
+    write_and_say(to, run, digits, force=force, quiet=quiet)
 
 
-def write_and_say(out: Path, run: "Run", digits: int, force: bool, what: str = "") -> None:
+def write_and_say(
+    out: Path, run: "Run", digits: int, *, force: bool, quiet: bool, what: str = ""
+) -> None:
     """Write a run, and say what is in it, after something else."""
     from ..recordings import sidecar_path, write_run
 
     write_run(out, run.times, run.values, definition=run.definition, digits=digits, force=force)
+    if quiet:
+        return
     rows = len(next(iter(run.values.values())))
     typer.echo(
         f"wrote {out} and {sidecar_path(out)}: {what}{rows} rows, "
-        f"{len(run.observations)} channels; see: giajax check {shlex.quote(str(out))}"
+        f"{len(run.observations)} channels; see: giajax check --data {shlex.quote(str(out))}"
     )
 
 
@@ -423,25 +440,36 @@ def _as_written(name: str, values: Any, digits: int) -> Any:
     return channel.to_si([float(f"{value:.{digits}g}") for value in channel.from_si(values)])
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
-  giajax synth run.csv --out new.csv --noise position_m=0.01
-  giajax synth run.csv --out new.csv --model giajax-out/run --correlated position_m=0.02
-  giajax synth run.csv --out new.csv --set camera.rotation=0,0.087,0 --set camera.delay=0.05
-  giajax synth run.csv --out new.csv --missing 5 --bursts 10 --burst-duration 2
-  giajax synth run.csv --out new.csv --noise position_m=0.01 --outliers 1
-                       --outlier-size position_m=0.5
+  giajax synth --data run.csv --noise position_m=0.01 --to new.csv
+                            with white noise
+  giajax synth --data run.csv --model giajax-out/run \\
+      --correlated position_m=0.02 --to new.csv
+                            as a fit predicts it, with drifting noise
+  giajax synth --data run.csv --set camera.rotation=0,0.087,0 \\
+      --set camera.delay=0.05 --to new.csv
+                            by a camera that is turned and late
+  giajax synth --data run.csv --missing 5 --bursts 10 --burst-duration 2 \\
+      --to new.csv          with gaps
+  giajax synth --data run.csv --noise position_m=0.01 --outliers 1 \\
+      --outlier-size position_m=0.5 --to new.csv
+                            with outliers
 
-\b
-The run gives commands, times, columns and sidecar; any model will do. A truth of --set
-stands in [truth] of the new sidecar alone, so that a fit has something to find.
-KEY is one of the keys of [noise]: position_m, angle_deg, or a column such as link06_z_mm.
-MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or other
-section) states a model with all its parameters.
-'giajax simulate' makes a first run from steps and ramps.""")
+The run gives commands, times, columns and sidecar; any model will do. A truth
+of --set stands in [truth] of the new sidecar alone, so that a fit has something
+to find. KEY is one of the keys of [noise]: position_m, angle_deg, or a column
+such as link06_z_mm. MODEL is the folder of a fit, its result.json, or a TOML
+file whose [arm] (or other section) states a model with all its parameters.
+'giajax simulate' makes a first run from steps and ramps.""",
+    group="data",
+    old={"--out": "--to"},
+    old_words="--data",
+)
 def synth(
-    run: Annotated[Path, argument("RUN.csv", "The run to record again.")],
-    out: Annotated[Path, "NEW.csv", "The run to write."],
+    data: Annotated[Path, "RUN.csv", "The run to record again."],
+    to: ToRun,
     model: Annotated[Path | None, "MODEL", "What is true; see below. [the run's own model]"] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter of the truth.", "--set"] = None,
     channels: Annotated[Texts, "CHANNEL", "A channel to record. [those of the run]"] = None,
@@ -455,20 +483,21 @@ def synth(
     outlier_size: Annotated[Texts, "KEY=VALUE", "How far."] = None,
     seed: Annotated[int, "N", "Of all errors.", 0] = 0,
     digits: Digits = 9,
-    force: ForceRun = False,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Record a run again, as its model or a fit predicts it, with errors of your choice.
+    """Record a run again, with errors of your choice.
 
-    For a run of any model. Tests what a fit makes of noise, gaps, outliers and a frame that is
-    off, before the experiment does.
+    As its model or a fit predicts it, for a run of any model. Tests what a fit makes of noise,
+    gaps, outliers and a frame that is off, before the experiment does.
     """
     from ..recordings import check_output_run, read_run
 
-    check_output_run(out, force=force)
+    check_output_run(to, force=force)
     values = settings(pairs)
     typed = {"--noise": noise, "--correlated": correlated, "--outlier-size": outlier_size}
     sections = {option: noise_section(pairs, option) for option, pairs in typed.items()}
-    recorded = read_run(run, definition=definition_of(model))
+    recorded = read_run(data, definition=definition_of(model))
     configure()
     from ..apps.synthetic import RecordingErrors, recorded_again
 
@@ -488,6 +517,6 @@ def synth(
     paths = list(dict.fromkeys(path.partition("[")[0] for path in values))
     with failed_simulation(""):
         new = recorded_again(
-            truth, recorded, errors, channels=channels, seed=seed, truth=paths, name=out.stem
+            truth, recorded, errors, channels=channels, seed=seed, truth=paths, name=to.stem
         )
-    write_and_say(out, new, digits, force)
+    write_and_say(to, new, digits, force=force, quiet=quiet)

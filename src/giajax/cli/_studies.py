@@ -17,7 +17,6 @@ from ._commands import (
     ManyProgress,
     Paths,
     Texts,
-    argument,
     print_table,
     say_written,
     write_folder,
@@ -35,28 +34,31 @@ if TYPE_CHECKING:
     """\b
 Examples:
   giajax profile giajax-out/run
-  giajax profile giajax-out/run air.drag_coefficient
-  giajax profile giajax-out/run joints.damping --level 0.68 --force
+                            all that was free
+  giajax profile giajax-out/run --parameter air.drag_coefficient
+                            one parameter
+  giajax profile giajax-out/run --level 0.68 --force
+                            at another level
   giajax profile giajax-out/run --workers 2
+                            in two processes
 
-\b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. Each PATH, a free parameter or a derived quantity, is held at
 values ever farther from its estimate while all others are fitted; without a
 PATH, all free parameters of the model.
 Writes profiles.json and profiles.png beside the result, where 'giajax report'
 finds them. What is there of the same fit is kept: further paths are added, and
-after Ctrl-C the same command goes on.""",
+after Ctrl-C the same command goes on. --force profiles again.""",
+    group="trust",
     workers=True,
     folder="Keep each side there; what is there is not done again.",
     figures="Draw profiles.png.",
-    force="Profile again, and write over other profiles.",
-    as_json="Print JSON instead of a table.",
-    quiet="No progress, and no table.",
+    as_json=True,
+    old_words="--parameter",
 )
 def profile(
     given: OnResult,
-    paths: Annotated[Texts, argument("PATH", "What to profile (all that was free).")] = None,
+    parameter: Annotated[Texts, "PATH", "What to profile (all that was free)."] = None,
     level: Annotated[float, "P", "Level of the intervals, between 0 and 1."] = 0.95,
 ) -> None:
     """Show how far each parameter can go until the fit is too bad.
@@ -78,7 +80,8 @@ def profile(
         check_output_files([path.with_suffix(".png")], force=given.force)
     if not given.quiet:
         typer.echo("compiling ...", err=True)
-    settings = {"paths": paths or None, "level": level, "known": None if given.force else before}
+    known = None if given.force else before
+    settings = {"paths": parameter or None, "level": level, "known": known}
     found = given.computed(profile_of, "sides of profiles", **settings)
     whole = {name: one for name, one in found.profiles.items() if one.complete}
     stopped = len(whole) < len(found.profiles)
@@ -115,19 +118,22 @@ def _before(path: Path, result: "FitResult", level: float, *, force: bool) -> "P
     """\b
 Examples:
   giajax posterior giajax-out/run
+                            beside the result
   giajax posterior giajax-out/run --draws 2000 --workers 4
+                            more draws, in four processes
   giajax posterior giajax-out/run --chains 8 --force
+                            more chains
   giajax posterior giajax-out/run --out elsewhere
+                            into another folder
 
-\b
 RESULT is the folder of a fit, or its result.json. Writes posterior.json, the
 draws for ArviZ (posterior.nc), pictures, and bands of every channel as CSV.
 Each chain has a file in posterior_chains: the same command goes on after Ctrl-C,
 and with more --chains keeps those that are there. Needs pip install 'giajax[posterior]'.""",
+    group="trust",
     workers=True,
-    out=("DIR", "Folder for files (that of the result)."),
-    as_json="Print JSON instead of a table.",
-    quiet="No progress.",
+    out="Folder for files (that of the result).",
+    as_json=True,
 )
 def posterior(
     given: OnResult,
@@ -165,7 +171,7 @@ def posterior(
         (folder / name).unlink(missing_ok=True)
     if given.as_json:
         typer.echo(found.summary.to_json(), nl=False)
-    else:
+    elif not given.quiet:
         show(found.summary, fitted)
         say_written(folder, contents)
     if is_stopped():
@@ -193,20 +199,25 @@ _KEPT = "Keep each task there; what is there is not done again."
     """\b
 Examples:
   giajax bootstrap giajax-out/run
+                            beside the result
   giajax bootstrap giajax-out/run --size 400 --workers 2
-  giajax bootstrap giajax-out/run --block --out blocks.json
+                            more repetitions, in two processes
+  giajax bootstrap giajax-out/run --block --out blocks
+                            with blocks of the residuals, into another folder
   giajax bootstrap giajax-out/run --whole --size 100 --folder repetitions
+                            whole fits, each kept as it is made
 
-\b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. Writes bootstrap.json and bootstrap.png beside the result, where
 giajax report finds them. Ctrl-C keeps what was done; with --folder DIR the same
 command and --force go on from there.""",
+    group="trust",
     workers=True,
     folder=_KEPT,
-    out=("FILE.json", "Where it goes (bootstrap.json beside RESULT)."),
+    out="Where bootstrap.json goes (that of RESULT).",
     figures="Draw the repetitions.",
-    as_json="Print JSON instead of tables.",
+    as_json=True,
+    old={"--out FILE.json": "--out"},
 )
 def bootstrap(
     given: OnResult,
@@ -215,9 +226,10 @@ def bootstrap(
     whole: Annotated[bool, "Fit each as the data were, noise and all."] = False,
     seed: Annotated[int, "N", "Of all random numbers.", 0] = 0,
 ) -> None:
-    """Repeat a fit with noise drawn anew: are its errors right, and does it come back?
+    """Repeat a fit with noise drawn anew: are its errors right?
 
-    Bias, spread and intervals of the repetitions, and how often the 95 % interval holds the truth.
+    And does it come back? Bias, spread and intervals of the repetitions, and how often the 95 %
+    interval holds the truth.
     """
     method = "block" if block else "parametric"
     given.record("bootstrap", size=size, method=method, whole=whole, seed=seed)
@@ -253,52 +265,66 @@ def self_test(
     """\b
 Examples:
   giajax influence giajax-out/run
+                            by one step from the optimum
   giajax influence giajax-out/both --exact --workers 2
-  giajax influence giajax-out/run --spans 20 --out spans.json
+                            by fits without each
+  giajax influence giajax-out/run --spans 20 --out spans
+                            of shorter spans of time, into another folder
 
-\b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. Writes influence.json and influence.png beside the result, where
 giajax report finds them.""",
+    group="trust",
     workers=True,
     folder=_KEPT,
-    out=("FILE.json", "Where it goes (influence.json beside RESULT)."),
+    out="Where influence.json goes (that of RESULT).",
     figures="Draw a map.",
-    as_json="Print JSON instead of tables.",
+    as_json=True,
+    old={"--most": "--rows", "--out FILE.json": "--out"},
 )
 def influence(
     given: OnResult,
     exact: Annotated[bool, "Fit without each marker, channel and span, too."] = False,
     spans: Annotated[int, "N", "Spans of time of each run; 1 for none.", 1] = 10,
-    most: Annotated[int, "N", "Rows of the table.", 1] = 20,
+    rows: Annotated[int, "N", "Rows of the table.", 1] = 20,
 ) -> None:
-    """Tell what each run, marker, channel and span of time does to each parameter.
+    """Tell what each part of the data does to each parameter.
 
-    Without it, how far would the parameter move, and how large would its error be?
+    Without a run, a marker, a channel or a span of time, how far would the parameter move, and how
+    large would its error be?
     """
-    given.record("influence", most=most, exact=exact, spans=spans)
+    given.record("influence", most=rows, exact=exact, spans=spans)
 
 
 @on_result(
     """\b
 Examples:
   giajax suspects giajax-out/run
+                            a test of each, without a fit
   giajax suspects giajax-out/run --ladder
+                            fit the best of them, and ask again
   giajax suspects giajax-out/run --ladder --tries 1
-  giajax suspects giajax-out/run --ladder --held-out other.csv
+                            with one fit for each step
+  giajax suspects giajax-out/run --ladder --validation other.csv
+                            judged by another run
   giajax suspects giajax-out/run --systematic --uncertainty links.mass=0.002
+                            what an uncertain mass does to the parameters
   giajax suspects giajax-out/run --json
+                            as JSON
 
-\b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. The most promising suspect comes first: what lowers chi-square most.
 --ladder fits the first few, takes the one whose fit has the lowest BIC, asks again,
 and so on, as long as BIC falls: minutes for each step of a long arm, and fewer with
 --tries 1, which takes the first one at its word.""",
-    out=("FILE.json", "Write the result with its suspects there."),
-    force="Write over a file.",
-    as_json="Print JSON instead of tables.",
-    quiet="No progress.",
+    group="trust",
+    out="Write the result with its suspects there, as suspects.json.",
+    as_json=True,
+    old={
+        "--held-out": "--validation",
+        "--most": ("--rows", "--max-steps"),
+        "--out FILE.json": "--out",
+    },
 )
 def suspects(
     given: OnResult,
@@ -306,8 +332,9 @@ def suspects(
     systematic: Annotated[bool, "Show what held numbers do to the fitted ones."] = False,
     uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a held number."] = None,
     ladder: Annotated[bool, "Fit the most promising suspects in turn."] = False,
-    held_out: Annotated[Paths, "RUN.csv", "A run to judge the ladder by."] = None,
-    most: Annotated[int, "N", "Rows of the table and steps of the ladder.", 1] = 8,
+    validation: Annotated[Paths, "RUN.csv", "A run to judge the ladder by."] = None,
+    rows: Annotated[int, "N", "Rows of the table.", 1] = 8,
+    max_steps: Annotated[int, "N", "Steps of the ladder at most.", 1] = 8,
     tries: Annotated[int | None, "N", "Suspects that each step of the ladder fits (3).", 1] = None,
 ) -> None:
     """Test what a fit held, switched off or left out.
@@ -315,14 +342,13 @@ def suspects(
     Which of it would lower chi-square, and to which value one step leads: added mass, a late
     camera, wind, friction, swapped axes and all else that the model knows.
     """
-    from ..recordings import Definition, check_output_files, read_runs, write_files
+    from ..recordings import Definition, make_folder, read_runs, write_files
     from ..tasks import held_out_runs
 
     deviations = plain_settings(uncertainty, "--uncertainty")
-    if given.out is not None:
-        check_output_files([given.out], force=given.force)
-    if held_out and not ladder:
-        raise typer.BadParameter("--held-out judges the fits of a ladder: add --ladder")
+    path = None if given.out is None else given.checked("suspects")
+    if validation and not ladder:
+        raise typer.BadParameter("--validation judges the fits of a ladder: add --ladder")
     if tries is not None and not ladder:
         raise typer.BadParameter("--tries is how many fits a step of a ladder makes: add --ladder")
     fitted, runs = given.fitted, given.runs
@@ -335,14 +361,14 @@ def suspects(
     )
     from ..studies import TRIES, ladder as selected, suspects as tested, with_systematic_errors
 
-    others = read_runs(held_out or [], Definition(), rename=given.renamed)
+    others = read_runs(validation or [], Definition(), rename=given.renamed)
     found = tested(fitted, runs, each=each or [])
     fitted = dataclasses.replace(fitted, suspects=found.rows, verdict=found.judge(fitted))
     fitted = with_systematic_errors(fitted, runs, deviations or None)
     shown = not (given.as_json or given.quiet)
     if shown:
-        if rows := suspect_rows(found, most):
-            print_table(SUSPECT_HEADINGS, rows)
+        if shown_rows := suspect_rows(found, rows):
+            print_table(SUSPECT_HEADINGS, shown_rows)
             print()
         print("\n".join(suspect_summary(found)))
         if systematic or deviations:
@@ -353,14 +379,15 @@ def suspects(
         others += held_out_runs(fitted, given.data or [], rename=given.renamed, folder=given.home)
         said = None if given.quiet else _say
         steps = selected(
-            fitted, runs, held_out=others, most=most, tries=tries or TRIES, progress=said
+            fitted, runs, held_out=others, most=max_steps, tries=tries or TRIES, progress=said
         )
         if shown:
             print()
             print_table(*stepwise_table(steps))
             print("\n" + "\n".join([steps.ending, *steps.result.conditions]))
-    if given.out is not None:
-        write_files({given.out: fitted.to_json().encode()}, force=given.force)
+    if path is not None:
+        make_folder(path.parent)
+        write_files({path: fitted.to_json().encode()}, force=given.force)
     if given.as_json:
         from ..runtime.records import plain_data
 

@@ -7,7 +7,9 @@ import typer
 
 from ..runtime.process import configure, stopped_status
 from ._commands import (
+    Force,
     ManyProgress,
+    Quiet,
     Scheduler,
     Workers,
     argument,
@@ -24,11 +26,15 @@ _ROWS = 20
 _ENDINGS = ("converged", "not_converged", "failed", "stopped")
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
   giajax sweep plan.toml --dry-run
+                            what it would fit
   giajax sweep plan.toml --workers 4
+                            in four processes
   giajax sweep plan.toml --out masses --scheduler tcp://head:8786
+                            on a cluster, into the folder masses
 
 \b
 A plan names a fit definition and what differs between its fits:
@@ -38,25 +44,27 @@ A plan names a fit definition and what differs between its fits:
   [grid.fix]
   "links.mass" = { from = 0.04, to = 0.06, count = 5 }
 
-\b
 The same command goes on where a sweep was stopped or killed, and after the plan
 has grown. DIR/sweep.parquet has one row a fit, DIR/fits a file of each.
 
 \b
 Exit status: 0 each fit was done; 1 one could not be (its row says why);
-2 bad input or usage; 130 interrupted, 143 by SIGTERM.""")
+2 bad input or usage; 130 interrupted, 143 by SIGTERM.""",
+    group="fit",
+)
 def sweep(
-    plan: Annotated[Path, argument("PLAN.toml", "What to fit; see below.")],
+    plan: Annotated[Path, argument("PLAN", "What to fit; see below.")],
     out: Annotated[Path | None, "DIR", "Where the table goes (giajax-out/PLAN)."] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     dry_run: Annotated[bool, "List what would be fitted, and fit nothing."] = False,
-    force: Annotated[bool, "Write over the table of another plan."] = False,
-    quiet: Annotated[bool, "Print errors only."] = False,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Fit one definition many times: with other values, runs or options each time.
+    """Fit one definition many times.
 
-    On one core, on several (--workers), or on the machines of a cluster (--scheduler).
+    With other values, runs or options each time. On one core, on several (--workers), or on the
+    machines of a cluster (--scheduler).
     """
     from ..runtime.execution import open_executor
     from ..tasks import TABLE, Plan, sweep as sweep_plan

@@ -11,6 +11,7 @@ from ._commands import (
     Force,
     Json,
     OnlyChannels,
+    Quiet,
     Renamed,
     Texts,
     command,
@@ -30,16 +31,21 @@ if TYPE_CHECKING:
 _FILES = ("wind.json", "wind.png")
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
   giajax wind --data resting.csv --wind 0,0.2,0
-  giajax wind --data resting.csv --model giajax-out/run --gusts 0.3:5 --out wind
+                            from a mean flow along y
+  giajax wind --data resting.csv --model giajax-out/run --out wind
+                            by the arm of a fit, with files
   giajax wind --data resting.csv --wind 0,0.2,0 --free decay --skip 60 --json
+                            with the decay, without the first minute
 
-\b
-MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states an
-arm; without it the sidecar's is taken. NAME is speed, deviation, length_scale
-(which are free), decay, heading or climb (which are held).""")
+MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states
+an arm; without it the sidecar's is taken. NAME is speed, deviation,
+length_scale (which are free), decay, heading or climb (which are held).""",
+    group="plan",
+)
 def wind(
     data: Annotated[Path, "RUN.csv", "A run under constant commands."],
     model: Annotated[Path | None, "MODEL", "The arm; see below."] = None,
@@ -50,7 +56,7 @@ def wind(
         "--wind",
     ] = None,
     gusts: Annotated[str, "I:L", "Intensity and length scale (m) to begin with."] = "0.2:5",
-    coherence: Annotated[float, "A", "Decay of the coherence of gusts over distances."] = 12.0,
+    coherence: Annotated[float, "DECAY", "Decay of the coherence of gusts over distances."] = 12.0,
     free: Annotated[Texts, "NAME", "Fit this, too."] = None,
     hold: Annotated[Texts, "NAME", "Hold this."] = None,
     no_mean: Annotated[bool, "Do not use where the arm rests, only how it moves there."] = False,
@@ -62,8 +68,8 @@ def wind(
     rename: Renamed = None,
     out: Annotated[Path | None, "DIR", "Write wind.json and wind.png there."] = None,
     as_json: Json = False,
-    quiet: Annotated[bool, "No progress."] = False,
     force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
     """Fit mean flow and gusts to the recording of a resting arm.
 
@@ -109,6 +115,7 @@ def wind(
         write_folder(out, contents, force=force)
     if as_json:
         typer.echo(text)
+    if as_json or quiet:
         return
     _show(found)
     if run.winds:

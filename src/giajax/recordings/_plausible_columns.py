@@ -423,7 +423,7 @@ def _turned(look: Look, name: str) -> str:
     path = look.run.path
     if path is None or path.suffix.lower() != ".csv":
         return f"change the sign of {name}"
-    does = f"giajax import {shlex.quote(str(path))} --flip {name} --out turned.csv"
+    does = f"giajax import {shlex.quote(str(path))} --flip {name} --to turned.csv"
     try:
         parse_columns(column_names(path))
     except InputError:

@@ -278,7 +278,7 @@ def _cell(part: LeftOut, path: str) -> str:
 
 def _influence_sentences(found: Influence, most: int | None) -> list[str]:
     more = 0 if most is None else len(found.parts) - most
-    left_out = [f"and {more} more, which move less (--most)"] if more > 0 else []
+    left_out = [f"and {more} more, which move less (--rows)"] if more > 0 else []
     return left_out + influence_summary(found)
 
 

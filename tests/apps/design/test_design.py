@@ -52,8 +52,19 @@ def asked(source=None, **changes):
 def test_the_command_its_files_and_what_they_promise(tmp_path, capsys):
     """The files are read back; the information is compared with differences of predictions."""
     out = tmp_path / "next"
-    search = ["--starts", "4", "--follow", "1", "--iterations", "5", "--markers", "1"]
-    words = ["design", "--for", DRAG, *SMALL, *QUICK, *search, "--draws", "2", "--out", str(out)]
+    search = ["--starts", "4", "--follow", "1", "--max-iterations", "5", "--markers", "1"]
+    words = [
+        "design",
+        "--parameter",
+        DRAG,
+        *SMALL,
+        *QUICK,
+        *search,
+        "--draws",
+        "2",
+        "--out",
+        str(out),
+    ]
     assert main(words) == 0
     said = capsys.readouterr().out
     assert "times the error of the base step" in said
@@ -260,17 +271,20 @@ def test_a_free_first_state_is_a_nuisance():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--for", "air.drag"], "did you mean 'air.drag_coefficient'?"),
-        (["--for", DRAG, "--joints", "3"], "the arm has joints 1 to 2"),
-        (["--for", DRAG, "--joints", "1;2"], "must be numbers"),
-        (["--for", DRAG, "--angle", "0"], "the largest angle is 0"),
-        (["--for", DRAG, "--markers", "9"], "9 markers are to be filmed out of 2"),
-        (["--for", DRAG, "--knots", "1"], "a number from 2 to"),
-        (["--for", DRAG, "--criterion", "E"], "no criterion 'E'"),
-        (["--for", DRAG, "--for", STIFFNESS, "--criterion", "c"], "criterion c is of one number"),
-        (["--for", DRAG, "--noise", "position_m=0"], "positive"),
-        (["--for", DRAG, "--uncertainty", "-1"], "the uncertainty of"),
-        (["none.toml", "--for", DRAG], "none.toml"),
+        (["--parameter", "air.drag"], "did you mean 'air.drag_coefficient'?"),
+        (["--parameter", DRAG, "--joints", "3"], "the arm has joints 1 to 2"),
+        (["--parameter", DRAG, "--joints", "1;2"], "must be numbers"),
+        (["--parameter", DRAG, "--max-angle", "0"], "the largest angle is 0"),
+        (["--parameter", DRAG, "--markers", "9"], "9 markers are to be filmed out of 2"),
+        (["--parameter", DRAG, "--knots", "1"], "a number from 2 to"),
+        (["--parameter", DRAG, "--criterion", "E"], "no criterion 'E'"),
+        (
+            ["--parameter", DRAG, "--parameter", STIFFNESS, "--criterion", "c"],
+            "criterion c is of one number",
+        ),
+        (["--parameter", DRAG, "--noise", "position_m=0"], "positive"),
+        (["--parameter", DRAG, "--relative-uncertainty", "-1"], "the uncertainty of"),
+        (["none.toml", "--parameter", DRAG], "none.toml"),
     ],
 )
 def test_one_sentence(tmp_path, capsys, options, words):

@@ -306,7 +306,7 @@ def test_a_port_in_use_is_one_sentence(cockpit):
 def test_ctrl_c_saves_the_drive(tmp_path):
     (tmp_path / "arm.toml").write_text('[arm]\npreset = "takeichi_20m"\nlinks = 3\n')
     running = subprocess.Popen(
-        [sys.executable, "-m", "giajax", "drive", "arm.toml", "--no-browser", "--out", "run.csv"],
+        [sys.executable, "-m", "giajax", "drive", "arm.toml", "--no-browser", "--to", "run.csv"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     address = running.stdout.readline().removeprefix("open ").strip()

@@ -206,7 +206,7 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
     assert len(read_run(kept).times) == len(run.times)
     assert main([*words]) == 0
     assert "wrote drive-3.csv" in capsys.readouterr().out
-    assert main([*words, "--out", "drive-1.csv"]) == 2
+    assert main([*words, "--to", "drive-1.csv"]) == 2
     assert "drive-1.csv exists" in capsys.readouterr().err
     (tmp_path / "pad.csv").write_text("time_s,button0\n0,1\n")
     assert main(words) == 2

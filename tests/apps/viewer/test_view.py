@@ -186,7 +186,7 @@ def test_markers_are_where_a_camera_sees_them(show, page):
     [
         (["nothing.csv"], "nothing.csv does not exist: give a run, the folder of a fit, or an arm"),
         (["arm.toml", "arm.toml"], "an arm without a motion is shown by itself"),
-        (["arm.toml", "--out", "page.html"], "page.html exists"),
+        (["arm.toml", "--page", "page.html"], "page.html exists"),
         (["arm.toml", "--port", "70000", "--no-browser"], "the port is 70000"),
         (["arm.toml", "--host", "", "--no-browser"], "the host is '', which is no address: give"),
     ],
