@@ -65,6 +65,8 @@ Examples:
                             commands that undo the hysteresis
   giajax design giajax-out/run --parameter air.drag_coefficient --out next
                             the next experiment: what to command and to film
+  giajax shape command.csv --model giajax-out/run --out shaped
+                            a command after which the arm does not swing
   giajax wind --data resting.csv --wind 0,0.2,0
                             the gusts that a resting arm undulates in
   giajax fill --out DIR     20 balloons filled with helium: fullness, lift

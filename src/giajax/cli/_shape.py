@@ -37,17 +37,18 @@ _PAGE, _PICTURE = "shape.json", "shape.png"
     """\b
 Examples:
   giajax shape command.csv --model giajax-out/run --out shaped
-                     ZV, ZVD and EI, with what the fit leaves open
+                            ZV, ZVD and EI, with what the fit leaves open
   giajax shape command.csv --model my_arm.toml --shaper ZVD --out shaped
-                     one of them, for an arm that is stated
+                            one of them, for an arm that is stated
   giajax simulate --command shaped/command_zvd.csv --to rehearsal.csv
-                     the arm, driven by one of them
+                            the arm, driven by one of them
 
 \b
-MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states an
-arm; without it the sidecar's is taken. Writes command_zv.csv and so on, which an
-operator can run, shape.json and shape.png. The residual is the largest distance of
-the tip from where it comes to rest, once the command has ended, in still air.""",
+MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
+states an arm; without it the sidecar's is taken. Writes command_zv.csv and so
+on, which an operator can run, shape.json and shape.png. The residual is the
+largest distance of the tip from where it comes to rest, once the command has
+ended, in still air.""",
     group="plan",
 )
 def shape(
