@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import shlex
 
 import jax.numpy as jnp
 import numpy as np
@@ -116,10 +117,9 @@ def test_a_mode_of_one_link_is_a_pendulum_with_drag_by_harmonic_balance():
     arm = replace(takeichi_20m(1), {"joints.damping": 0.0})
     mass = float(mass_matrix(arm, jnp.zeros(1))[0, 0])
     stiffness = float(jnp.max(jnp.asarray(arm.joints.pitch_stiffness)))
-    (mode,), tip = modes_after(arm, moved(0.1, 1))
+    (mode,) = modes_after(arm, moved(0.1, 1))
     assert mode.period == pytest.approx(2 * np.pi * np.sqrt(mass / stiffness), rel=1e-9)
     length = float(arm.links.length[0])
-    np.testing.assert_allclose(np.linalg.norm(tip), length, rtol=1e-9)
     # A step leaves a swing as large as itself.
     assert mode.swing == pytest.approx(0.1 * length, rel=1e-3)
     # The torque of drag at the link's centre, per square of the rate.
@@ -136,7 +136,7 @@ def test_a_damper_has_the_damping_of_a_damper():
     arm = replace(takeichi_20m(1), still)
     mass = float(mass_matrix(arm, jnp.zeros(1))[0, 0])
     stiffness = float(jnp.max(jnp.asarray(arm.joints.pitch_stiffness)))
-    (mode,), _ = modes_after(arm, moved(0.1, 1))
+    (mode,) = modes_after(arm, moved(0.1, 1))
     assert mode.damping == pytest.approx(0.02 / (2 * np.sqrt(stiffness * mass)), rel=1e-6)
 
 
@@ -150,7 +150,7 @@ def short():
 @pytest.mark.parametrize("swings", [0.5, 1.0, 1.5])
 def test_a_shaped_command_leaves_little_swing(short, swings):
     """2 % of the travel, and 5 % where the stiffness is a quarter off (ZVD, EI)."""
-    period = modes_after(short.arm, moved(0.2, 6))[0][0].period
+    period = modes_after(short.arm, moved(0.2, 6))[0].period
     found = shape_command(short, moved(0.2, 6, swings * period))
     before, *shaped = found.rows
     assert before.residual > 0.05 * found.travel
@@ -167,11 +167,64 @@ def test_what_cannot_be_shaped_is_refused(short):
         shape_command(short, moved(0.2, 6), shapers=["XY"])
     with pytest.raises(InputError, match="of 2 joints, and the arm has 6"):
         shape_command(short, moved(0.2, 2))
-    with pytest.raises(InputError, match="the tip is where it was when the command ends"):
+    with pytest.raises(InputError, match="the command does not move the tip"):
         shape_command(short, moved(0.0, 6))
     unstable = replace(short, {"joints.pitch_stiffness": -1.0})
     with pytest.raises(InputError, match="the arm is not stable where the command ends"):
         shape_command(unstable, moved(0.2, 6))
+
+
+def untuned(arm, command):
+    found = shape_command(ArmModel(arm), command, shapers=["ZVD"], tuned=False)
+    return np.array([[row.residual, row.soft, row.stiff] for row in found.rows]), found
+
+
+def test_a_command_that_begins_elsewhere_is_the_same_move():
+    """The arm rests by its first row: there is no swing of a false start."""
+    arm = takeichi_20m_full(3, parameters={"gravity": 0.0})
+    base = np.deg2rad([[30.0, 0, 0], [31.0, 0, 0]])
+    times = np.array([0.0, 1.0])
+    here, _ = untuned(arm, Command(times, base - base[0]))
+    there, found = untuned(arm, Command(times, base))
+    np.testing.assert_allclose(there, here, rtol=0.02)
+    assert found.rows[0].distance[0] == pytest.approx(found.travel, rel=1e-6)
+
+
+def test_an_arm_that_sags_begins_at_its_sag():
+    arm = takeichi_20m(2, parameters={"gravity": 1.0})
+    _, found = untuned(arm, moved(0.05, 2))
+    assert found.rows[0].distance[0] == pytest.approx(found.travel, rel=1e-6)
+    assert found.rows[1].residual < 0.3 * found.rows[0].residual
+
+
+def test_a_drive_with_half_of_the_gain_moves_half_as_far():
+    plain, halved = (
+        takeichi_20m_full(2),
+        takeichi_20m_full(2, parameters={"joints.drive_gain": 0.5}),
+    )
+    one, other = (modes_after(arm, moved(angle, 2))[0] for arm, angle in
+                  ((plain, 0.1), (halved, 0.2)))  # fmt: skip
+    assert other.swing == pytest.approx(one.swing, rel=1e-9)
+    assert other.damping == pytest.approx(one.damping, rel=1e-9)
+    late = takeichi_20m_full(2, parameters={"joints.drive_lag": one.period / (2 * np.pi)})
+    behind = min(modes_after(late, moved(0.1, 2)), key=lambda mode: abs(mode.period - one.period))
+    assert behind.swing == pytest.approx(one.swing / np.sqrt(2), rel=1e-9)
+
+
+def test_a_command_there_and_back_is_of_the_travel_in_between(short):
+    angles = np.zeros((4, 6))
+    angles[1:3, 0] = 0.1
+    command = Command(np.array([0.0, 2.0, 9.0, 11.0]), angles)
+    found = shape_command(short, command, shapers=["ZVD"], tuned=False)
+    once = shape_command(short, moved(0.1, 6, 2.0), shapers=["ZVD"], tuned=False)
+    assert found.travel == pytest.approx(once.travel, rel=1e-6)
+    assert found.rows[1].residual < 0.1 * found.travel
+
+
+def test_muscles_are_refused():
+    arm = takeichi_20m(2, muscles="all", parameters={"joints.damping": 0.5})
+    with pytest.raises(InputError, match="the arm has muscles"):
+        shape_command(ArmModel(arm), moved(0.1, 2))
 
 
 COMMAND = """time_s,joint01_command_deg
@@ -197,7 +250,7 @@ def test_the_command_writes_commands_that_can_be_driven(files, capsys):
     assert main([*SHAPE, "--shaper", "zvd", "--no-tune"]) == 0
     said = capsys.readouterr().out
     assert "unshaped" in said
-    assert "next: giajax simulate --command shaped/command_zvd.csv" in said
+    assert "next: giajax synth --data shaped/command_zvd.csv --model arm.toml" in said
     names = {path.name for path in (files / "shaped").iterdir()}
     assert names == {"command_zvd.csv", "command_zvd.toml", "shape.json", "shape.png"}
     facts = json.loads((files / "shaped" / "shape.json").read_text())
@@ -207,6 +260,14 @@ def test_the_command_writes_commands_that_can_be_driven(files, capsys):
     assert angles[-1] == pytest.approx(10.0)
     assert np.all(np.diff(angles) >= -1e-9)
     assert run.times[-1] >= 6 + facts["commands"][1]["longer_s"] - 1e-6
+    # The line that is printed rehearses the arm that was shaped for.
+    printed = next(line for line in said.splitlines() if line.startswith("next: giajax "))
+    assert main(shlex.split(printed)[2:]) == 0
+    rehearsed = read_run(files / "rehearsal.csv")
+    tips = np.stack([rehearsed.observations[f"tip_{axis}"] for axis in "xyz"], axis=1)
+    travel = np.linalg.norm(tips[0] - tips[-1])
+    assert travel == pytest.approx(facts["travel_m"], rel=0.02)
+    capsys.readouterr()
     assert main([*SHAPE, "--shaper", "zvd", "--no-tune"]) == 2
     assert "--force" in capsys.readouterr().err
     assert main([*SHAPE, "--shaper", "zvd", "--no-tune", "--force", "--quiet"]) == 0
@@ -218,7 +279,7 @@ def test_the_command_writes_commands_that_can_be_driven(files, capsys):
     [
         ("time_s,tip_z_m\n0,0\n1,0\n", [], "command.csv has no command column"),
         (COMMAND.replace("joint01", "joint09"), [], "is of joint 9, but the arm has 3 links"),
-        (COMMAND.replace("10", "0"), [], "the tip is where it was when the command ends"),
+        (COMMAND.replace("10", "0"), [], "the command does not move the tip"),
         (COMMAND, ["--shaper", "best"], "the shaper 'BEST' is unknown"),
         (COMMAND, ["--model", "none.toml"], "none.toml does not exist"),
     ],

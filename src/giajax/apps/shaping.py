@@ -4,7 +4,7 @@ A command is convolved with a few impulses, so that each of them cancels what th
 set swinging. The impulses follow from period and damping of a mode at the pose where the command
 ends. The air damps a long and light arm, and it does so by the square of the velocity: the damping
 that counts is that of a swing as large as the command excites, by harmonic balance. As a swing and
-its damping change while the arm moves, period and damping of the slowest mode are then searched for
+its damping change while the arm moves, period and damping of the mode that is excited most are then searched for
 near these numbers, with simulations of the arm.
 
 - ZV, ZVD: Singer and Seering, Preshaping command inputs to reduce system vibration, J. Dyn. Syst.
@@ -177,7 +177,9 @@ SHAPERS = {
 
 @dataclasses.dataclass(frozen=True)
 class Command:
-    """Commanded angles over time, from 0 s on; straight between the rows, or held.
+    """Commanded angles over time; straight between the rows, or held.
+
+    The arm rests by the first row when it begins.
 
     Attributes:
         times: of the rows, increasing, s, shape (row,).
@@ -188,6 +190,13 @@ class Command:
     times: Float[np.ndarray, " row"]
     angles: Float[np.ndarray, "row joint"]
     held: bool = False
+
+    def __post_init__(self) -> None:
+        if self.times.ndim != 1 or self.angles.shape[:1] != self.times.shape or self.times[0] != 0:
+            raise InputError(
+                f"a command has times of shape {self.times.shape} and angles of shape "
+                f"{self.angles.shape}: give a row of angles for each time, the first one at 0 s"
+            )
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """Angles at times, rad; the first and the last ones are held outside."""
@@ -226,13 +235,11 @@ class Mode:
         period: without damping, s.
         damping: of a swing half as large as the command excites, over critical damping.
         swing: at the tip after the command as it is, were there no air, m.
-        shape: angles of the joints, of unit kinetic energy at unit rate, shape (joint,).
     """
 
     period: float
     damping: float
     swing: float
-    shape: Float[np.ndarray, " joint"]
 
 
 class _About(NamedTuple):
@@ -243,7 +250,6 @@ class _About(NamedTuple):
     by_angles: Array
     by_command: Array
     mass: Array
-    tip: Array
     moves: Array
 
 
@@ -266,15 +272,29 @@ def _resting(arm: Arm, command: Array) -> tuple[Array, Array]:
 
 @program
 def _about(arm: Arm, commanded: Array) -> _About:
-    command = followed(_constant(commanded), arm.joints)(jnp.asarray(0.0, commanded.dtype))
+    command = _reached(arm, commanded)
     angles, off = _resting(arm, command)
     still = jnp.zeros_like(angles)
-    by_angles, by_command = jax.jacfwd(lambda q, u: acceleration(arm, q, still, u), argnums=(0, 1))(
-        angles, command
-    )
+    by_angles, by_command = jax.jacfwd(
+        lambda q, u: acceleration(arm, q, still, _reached(arm, u)), argnums=(0, 1)
+    )(angles, commanded)
     moves = jax.jacfwd(lambda q: tip_position(arm, q))(angles)
-    tip, mass = tip_position(arm, angles), mass_matrix(arm, angles)
-    return _About(angles, off, by_angles, by_command, mass, tip, moves)
+    return _About(angles, off, by_angles, by_command, mass_matrix(arm, angles), moves)
+
+
+@program
+def _rest_tips(arm: Arm, commanded: Array) -> Array:
+    """Where the tip is at rest by each row of commanded angles, m."""
+
+    def at(row: Array) -> Array:
+        return tip_position(arm, _resting(arm, _reached(arm, row))[0])
+
+    return jax.lax.map(at, commanded)
+
+
+def _reached(arm: Arm, commanded: Array) -> Array:
+    """What the drives make of a command in the end, rad."""
+    return followed(_constant(commanded), arm.joints)(jnp.zeros((), commanded.dtype))
 
 
 def _constant(value: Array) -> Signal:
@@ -297,8 +317,8 @@ _WRONG = 0.25  # share by which a stiffness may be wrong
 _PHASES = (np.arange(64) + 0.5) * 2 * np.pi / 64
 
 
-def modes_after(arm: Arm, command: Command) -> tuple[list[Mode], np.ndarray]:
-    """The modes of an arm where a command ends, those that it excites most first, and its tip (m).
+def modes_after(arm: Arm, command: Command) -> list[Mode]:
+    """The modes of an arm where a command ends, those that it excites most first.
 
     Raises:
         InputError: the arm has no stable rest there.
@@ -308,6 +328,7 @@ def modes_after(arm: Arm, command: Command) -> tuple[list[Mode], np.ndarray]:
     about: Any = _About(*parts)
     if not (np.all(np.isfinite(about.angles)) and about.off < 1e-6):
         raise InputError("no rest of the arm is found where the command ends: end it elsewhere")
+    reached = _reached(arm, last)
     stiffness = -about.mass @ about.by_angles
     root_of_mass = np.linalg.cholesky(about.mass)
     half = np.linalg.solve(root_of_mass, (stiffness + stiffness.T) / 2)
@@ -322,12 +343,15 @@ def modes_after(arm: Arm, command: Command) -> tuple[list[Mode], np.ndarray]:
     # Of the pose at rest by the command, in each mode.
     static = -shapes.T @ about.mass @ np.linalg.solve(about.by_angles, about.by_command)
     reach = np.linalg.norm(about.moves @ shapes, axis=0)
+    late = arm.joints.drive_lag
+    lag = 0.0 if late is None else float(np.mean(np.asarray(late)))
     found = []
     for frequency, shape, gain, far in zip(frequencies, shapes.T, static, reach, strict=True):
-        size = _excited(command, gain, frequency)
-        damping = _damping(arm, about, last, frequency, shape, max(size / 2, 1e-3 / far))
-        found.append(Mode(float(2 * np.pi / frequency), damping, float(size * far), shape))
-    return sorted(found, key=lambda mode: -mode.swing), about.tip
+        # A drive that lags passes on less of what is quick.
+        size = _excited(command, gain, frequency) / np.hypot(1, frequency * lag)
+        damping = _damping(arm, about, reached, frequency, shape, max(size / 2, 1e-3 / far))
+        found.append(Mode(float(2 * np.pi / frequency), damping, float(size * far)))
+    return sorted(found, key=lambda mode: -mode.swing)
 
 
 def _excited(command: Command, gain: np.ndarray, frequency: float) -> float:
@@ -381,6 +405,9 @@ def _moved(cases: _Case) -> tuple[Array, Array]:
 
 def _moved_one(case: _Case) -> tuple[Array, Array]:
     exact: Any = {"rtol": case.tolerance, "atol": case.tolerance}
+    first = followed(case.command, case.arm.joints)(case.times[0])
+    begun = _resting(case.arm, first)[0]
+    exact |= {"initial": (begun, jnp.zeros_like(begun))}
     motion = simulate(case.arm, case.command, case.times, throw=False, **exact)
     tips = jax.vmap(functools.partial(tip_position, case.arm))(motion.angles)
     last = followed(case.command, case.arm.joints)(case.times[-1])
@@ -402,7 +429,7 @@ class Shaped:
         command: angles over time.
         impulses: what the command was convolved with.
         longer: by how much it lasts longer, s.
-        tuned: period (s) and damping of the slowest mode for which it was made; None of none.
+        tuned: period (s) and damping of the mode excited most, for which it was made; None of none.
         settled: when the tip has come to stay within 2 % of the travel from its rest, s; None where
             that is not within three swings after the command.
         residual: largest distance of the tip from where it comes to rest, after the command, m.
@@ -435,7 +462,7 @@ class Shaping:
     Attributes:
         rows: the command as it was, then each shaper.
         modes: that were shaped for, the one that the command excites most first.
-        travel: distance of the tip from begin to end, at rest, m.
+        travel: largest distance of the tip, at rest, from where it is in the end, m.
         notes: sentences on what a reader should know.
     """
 
@@ -474,7 +501,7 @@ def shape_command(
     model: AbstractModel | FitResult,
     command: Command,
     *,
-    shapers: Sequence[str] = tuple(SHAPERS),
+    shapers: Sequence[str] = (*SHAPERS,),
     tuned: bool = True,
     draw_count: int = 20,
     progress: Callable[[str], None] | None = None,
@@ -485,7 +512,7 @@ def shape_command(
         model: the arm, or a fit of it, whose uncertainty is then drawn from.
         command: of all joints of the arm.
         shapers: of `SHAPERS`.
-        tuned: whether period and damping of the slowest mode are searched for with simulations.
+        tuned: whether period and damping of the mode excited most are searched for with simulations.
         draw_count: how many draws of what the fit leaves open.
         progress: called with a line now and then.
 
@@ -502,6 +529,7 @@ def shape_command(
         >>> [row.name for row in found.rows]
         ['unshaped', 'ZV']
     """
+    shapers = tuple(dict.fromkeys(shapers))
     for name in shapers:
         if name not in SHAPERS:
             raise InputError(f"the shaper {name!r} is unknown: use one of {', '.join(SHAPERS)}")
@@ -512,11 +540,16 @@ def shape_command(
         raise InputError(
             f"the command is of {command.angles.shape[1]} joints, and the arm has {arm.count}"
         )
-    modes, end = modes_after(arm, command)
-    first = jnp.asarray(command.angles[0], dtype=jnp.result_type(float))
-    travel = float(np.linalg.norm(end - np.asarray(_about(arm, first).tip)))
+    if arm.pneumatics is not None:
+        raise InputError(
+            "the arm has muscles, whose stiffness changes with their pressures and which may hold a "
+            "joint at several angles: shape the command of an arm with springs"
+        )
+    tips = np.asarray(_rest_tips(arm, jnp.asarray(command.angles, dtype=jnp.result_type(float))))
+    travel = float(np.max(np.linalg.norm(tips - tips[-1], axis=1)))
     if not travel > 1e-6:
-        raise InputError("the tip is where it was when the command ends: give one that moves it")
+        raise InputError("the command does not move the tip: give one that does")
+    modes = modes_after(arm, command)
     worth = _chosen(modes, travel)
     wrong = [_softer(stated, 1 - _WRONG).arm, _softer(stated, 1 + _WRONG).arm]
     drawn = [] if result is None else [each.arm for each in _draws(stated, result, draw_count)]
@@ -540,11 +573,11 @@ def shape_command(
 
 def _chosen(modes: Sequence[Mode], travel: float) -> list[Mode]:
     """The first mode, and those that it leaves swinging, whatever the shaper."""
-    slowest = modes[0]
-    before = zero_vibration(slowest.period, min(slowest.damping, _MOST_DAMPED))
+    first = modes[0]
+    before = zero_vibration(first.period, min(first.damping, _MOST_DAMPED))
     left = [mode for mode in modes[1:] if mode.swing > _WORTH * travel]
     more = [m for m in left if m.swing * before.left(m.period, 0.0) > _WORTH * travel]
-    return [slowest, *more[: _MOST_MODES - 1]]
+    return [first, *more[: _MOST_MODES - 1]]
 
 
 _STIFFNESSES = ("joints.pitch_stiffness", "joints.yaw_stiffness")
@@ -585,7 +618,7 @@ class _Study:
     travel: float
 
     def impulses(self, name: str, numbers: tuple[float, float]) -> Impulses:
-        """Of a shaper for the slowest mode of a period and damping, and for the others."""
+        """Of a shaper for the first mode by a period and damping, and for the others."""
         shaper = SHAPERS[name]
         found = shaper.impulses(*numbers)
         for mode in self.further:
@@ -599,7 +632,7 @@ class _Study:
     def tuned(self, name: str) -> tuple[float, float]:
         """Period and damping that leave least, with each wrong stiffness, too."""
         shaper, (period, damping) = SHAPERS[name], self.usual(name)
-        weight = _LET if shaper.robust else 0.0
+        arms = self.arms if shaper.robust else self.arms[:1]
         tried = [
             (period * longer, shaper.allowed(each))
             for longer in _PERIODS
@@ -609,8 +642,8 @@ class _Study:
         for by_period, by_damping in (*_CLOSER, (0.0, 0.0)):
             new = [each for each in dict.fromkeys(tried) if each not in known]
             commands = [self.command.shaped(self.impulses(name, each)) for each in new]
-            left, _, _ = self._moved(commands, self.arms, _TUNING)
-            worst = np.maximum(left[:, 0], weight * np.max(left[:, 1:], axis=1))
+            left, _, _ = self._moved(commands, arms, _TUNING)
+            worst = np.max(left * ([1.0] + [_LET] * (len(arms) - 1)), axis=1)
             known |= dict(zip(new, worst.tolist(), strict=True))
             period, damping = min(known, key=lambda each: known[each])
             tried = [
@@ -626,6 +659,12 @@ class _Study:
         shaped = self.command.shaped(impulses)
         left, times, distances = self._moved([shaped], [*self.arms, *self.drawn], _FINAL)
         count = len(self.arms)
+        if not np.all(np.isfinite(left[0, :count])):
+            raise InputError(
+                "the motion of the arm cannot be simulated, as it is or with a stiffness a quarter "
+                "off: give a command that it can follow"
+            )
+        sound = np.flatnonzero(np.isfinite(left[0]))[count:]
         return Shaped(
             name=name,
             command=shaped,
@@ -636,17 +675,17 @@ class _Study:
             residual=float(left[0, 0]),
             soft=float(left[0, 1]),
             stiff=float(left[0, 2]),
-            drawn=left[0, count:],
+            drawn=left[0, sound],
             times=times[0],
             distance=distances[0, 0],
-            distances=distances[0, count:],
+            distances=distances[0, sound],
         )
 
     def _moved(
         self, commands: Sequence[Command], arms: Sequence[Arm], tolerance: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What each command leaves with each arm (m), samples (s), and distances over time (m)."""
-        longest = 3 * self.mode.period
+        longest = 3 * max(mode.period for mode in (self.mode, *self.further))
         times = np.stack([_samples(each.times[-1], longest) for each in commands])
         cases = [
             _Case(arm, each.signal(self.rows), jnp.asarray(row), jnp.asarray(tolerance))
@@ -717,10 +756,6 @@ def shaping_facts(found: Shaping) -> dict[str, Any]:
         {"period_s": mode.period, "damping": mode.damping, "swing_m": mode.swing}
         for mode in found.modes
     ]
-
-    def of(impulses: Impulses) -> dict[str, Any]:
-        return {"time_s": impulses.times.tolist(), "size": impulses.sizes.tolist()}
-
     rows = [
         {
             "shaper": row.name,

@@ -27,7 +27,7 @@ from ._commands import (
 from ._model import definition_of, is_result, model_of
 
 if TYPE_CHECKING:
-    from ..apps.shaping import Command, Shaping
+    from ..apps.shaping import Command, Shaped, Shaping
     from ..recordings import Run
 
 _PAGE, _PICTURE = "shape.json", "shape.png"
@@ -40,8 +40,9 @@ Examples:
                             ZV, ZVD and EI, with what the fit leaves open
   giajax shape command.csv --model my_arm.toml --shaper ZVD --out shaped
                             one of them, for an arm that is stated
-  giajax simulate --command shaped/command_zvd.csv --to rehearsal.csv
-                            the arm, driven by one of them
+  giajax synth --data shaped/command_zvd.csv --model giajax-out/run
+               --channels tip --to rehearsal.csv
+                            the arm of the fit, driven by one of them
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
@@ -70,9 +71,10 @@ def shape(
     """
     from ..recordings import check_output_folder, parse_rename, read_run, stored_result, write_run
 
-    names = [name.upper() for name in shaper or ["ZV", "ZVD", "EI"]]
+    names = list(dict.fromkeys(name.upper() for name in shaper or ["ZV", "ZVD", "EI"]))
     files = [_PAGE, _PICTURE, *(_file(name) for name in names)]
-    check_output_folder(out, files, force=force)
+    sidecars = [_file(name).replace(".csv", ".toml") for name in names]
+    check_output_folder(out, [*files, *sidecars], force=force)
     if model is not None and is_result(model):
         stored_result(model)
     recorded = read_run(run, definition=definition_of(model), rename=parse_rename(rename or []))
@@ -105,9 +107,15 @@ def shape(
     elif not quiet:
         _show(found)
         say_written(out, files)
-        best = min(found.rows[1:], key=lambda row: (row.settled or math.inf, row.residual))
-        path = shlex.quote(str(out / _file(best.name)))
-        typer.echo(f"next: giajax simulate --command {path} --to rehearsal.csv")
+        best = min(found.rows[1:], key=_soonest)
+        paths = [out / _file(best.name), *([] if model is None else [model])]
+        data, *stated = (shlex.quote(str(path)) for path in paths)
+        by = "".join(f" --model {path}" for path in stated)
+        typer.echo(f"next: giajax synth --data {data}{by} --channels tip --to rehearsal.csv")
+
+
+def _soonest(row: "Shaped") -> tuple[float, float]:
+    return math.inf if row.settled is None else row.settled, row.residual
 
 
 def _file(name: str) -> str:
@@ -148,7 +156,7 @@ def _rows(run: "Run", shaped: "Command") -> tuple[Any, dict[str, Any]]:
 
     assert run.times is not None
     step = float(np.median(np.diff(run.times)))
-    regular = np.arange(0.0, shaped.times[-1] + step, step)
+    regular = step * np.arange(int(shaped.times[-1] / step) + 1)
     apart = np.min(np.abs(shaped.times[:, None] - regular), axis=1) > 1e-6 * step
     times = np.sort(np.concatenate([regular, shaped.times[apart]]))
     angles = shaped.at(times)

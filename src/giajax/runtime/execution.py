@@ -35,6 +35,7 @@ from .process import (
     cores,
     is_own_process,
     is_stopped,
+    one_blas_thread,
     own_process,
     stop_of_thread,
 )
@@ -84,9 +85,10 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
         get_ready(own)
     if folder is not None and (known := read_outcome(folder, task.key)) is not None:
         return known
-    from .programs import forget_programs_if_many  # not before the process is ready for JAX
+    if stop_of_thread.get() is None:
+        from .programs import forget_programs_if_many  # not before the process is ready for JAX
 
-    forget_programs_if_many()
+        forget_programs_if_many()
     began = time.perf_counter()
     value, message = None, ""
     try:
@@ -186,8 +188,13 @@ class Threads(Executor):
     """
 
     def __init__(self, most: int) -> None:
+        from .programs import forget_programs_if_many
+
+        forget_programs_if_many()  # not while a thread computes with them
         self.workers = min(most, cores())
         self._stop = threading.Event()
+        self._blas = contextlib.ExitStack()
+        self._blas.enter_context(one_blas_thread())
         self._pool = ThreadPoolExecutor(self.workers, "giajax")
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
@@ -200,11 +207,12 @@ class Threads(Executor):
     def stop(self) -> None:
         """Tell the tasks to stop, and wait until they have."""
         self._stop.set()
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        self.shutdown(cancel_futures=True)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the threads when they have done what was submitted."""
         self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
+        self._blas.close()
 
 
 class Processes(Executor):

@@ -33,6 +33,7 @@ _AT_ONCE = 20
 _LEAST_TO_ADAPT, _EACH = 150, 10
 
 _compiling = threading.Lock()
+_compiled: set[tuple[Any, ...]] = set()  # keys of chains whose programs are there
 
 # Called with the transitions that chains of this process do, after each few.
 _listener: contextvars.ContextVar[Callable[[int], None] | None] = contextvars.ContextVar(
@@ -72,11 +73,19 @@ def chain(begun: Begun, number: int, draws: int, warmup: int, seed: int) -> dict
         on_device(each, dtype) for each in (begun.start, begun.energy, begun.gradient)
     )
     parts = []
-    # Chains that begin together need the same programs, and each would compile them.
-    with _compiling, _mixing_types():
-        state = _begin(density, start, energy, gradient, jax.random.key(seed), settings)
-        state, found = _move(density, state, settings, length)
-        jax.block_until_ready(found)
+    key = (begun.task_key, settings, length)
+    with contextlib.ExitStack() as stack:
+        # Chains that begin together need the same programs, and each would compile them.
+        if key not in _compiled:
+            stack.enter_context(_compiling)
+            if key in _compiled:
+                stack.close()
+        if is_stopped():
+            raise KeyboardInterrupt
+        with _mixing_types():
+            state = _begin(density, start, energy, gradient, jax.random.key(seed), settings)
+            state, found = _move(density, state, settings, length)
+        _compiled.add(key)
     for at in range(total // length):
         if at:
             with _mixing_types():
@@ -179,9 +188,10 @@ def posterior(
         draws: of each chain that are kept.
         warmup: transitions before them, which adapt the sampler.
         seed: of the random numbers.
-        executor, folder: as of `giajax.runtime.execution.Execution`; without an executor the
-            chains are shared out among the cores of this process.
-        progress: called with the transitions that are done, and how many there will be.
+        executor, folder: as of `giajax.runtime.execution.Execution`; without an executor, or with
+            that of this process, the chains are shared out among its cores.
+        progress: called with the transitions that are done, and how many there will be; in the
+            threads of the chains.
 
     Raises:
         InputError: these are not its runs; NumPyro is not installed; nothing limits a parameter;
