@@ -4,8 +4,8 @@ A command is convolved with a few impulses, so that each of them cancels what th
 set swinging. The impulses follow from period and damping of a mode at the pose where the command
 ends. The air damps a long and light arm, and it does so by the square of the velocity: the damping
 that counts is that of a swing as large as the command excites, by harmonic balance. As a swing and
-its damping change while the arm moves, period and damping of the mode that is excited most are then searched for
-near these numbers, with simulations of the arm.
+its damping change while the arm moves, period and damping of the mode that is excited most are then
+searched for near these numbers, with simulations of the arm.
 
 - ZV, ZVD: Singer and Seering, Preshaping command inputs to reduce system vibration, J. Dyn. Syst.
   Meas. Control 112 (1990) 76. No swing is left where period and damping are right; ZVD leaves less
@@ -512,7 +512,8 @@ def shape_command(
         model: the arm, or a fit of it, whose uncertainty is then drawn from.
         command: of all joints of the arm.
         shapers: of `SHAPERS`.
-        tuned: whether period and damping of the mode excited most are searched for with simulations.
+        tuned: whether period and damping of the mode excited most are searched for, with
+            simulations.
         draw_count: how many draws of what the fit leaves open.
         progress: called with a line now and then.
 
@@ -542,8 +543,8 @@ def shape_command(
         )
     if arm.pneumatics is not None:
         raise InputError(
-            "the arm has muscles, whose stiffness changes with their pressures and which may hold a "
-            "joint at several angles: shape the command of an arm with springs"
+            "the arm has muscles, whose stiffness changes with their pressures and which may hold "
+            "a joint at several angles: shape the command of an arm with springs"
         )
     tips = np.asarray(_rest_tips(arm, jnp.asarray(command.angles, dtype=jnp.result_type(float))))
     travel = float(np.max(np.linalg.norm(tips - tips[-1], axis=1)))

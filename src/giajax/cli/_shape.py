@@ -41,7 +41,7 @@ Examples:
   giajax shape command.csv --model my_arm.toml --shaper ZVD --out shaped
                             one of them, for an arm that is stated
   giajax synth --data shaped/command_zvd.csv --model giajax-out/run
-               --channels tip --to rehearsal.csv
+               --channels tip_z --to rehearsal.csv
                             the arm of the fit, driven by one of them
 
 \b
@@ -111,7 +111,8 @@ def shape(
         paths = [out / _file(best.name), *([] if model is None else [model])]
         data, *stated = (shlex.quote(str(path)) for path in paths)
         by = "".join(f" --model {path}" for path in stated)
-        typer.echo(f"next: giajax synth --data {data}{by} --channels tip --to rehearsal.csv")
+        tip = " ".join(f"--channels tip_{axis}" for axis in "xyz")
+        typer.echo(f"next: giajax synth --data {data}{by} {tip} --to rehearsal.csv")
 
 
 def _soonest(row: "Shaped") -> tuple[float, float]:

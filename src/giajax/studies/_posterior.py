@@ -225,7 +225,7 @@ def posterior(
     token = _listener.set(counted.moved)
     try:
         with contextlib.ExitStack() as stack:
-            if executor is None or isinstance(executor, InProcess):
+            if executor is None or type(executor) is InProcess:
                 executor = stack.enter_context(Threads(chains))
             outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=counted.done)
     finally:

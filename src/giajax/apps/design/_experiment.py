@@ -384,7 +384,7 @@ def design_experiment(
     if search.best is None:
         raise InputError(
             "no command that was tried can be simulated with every draw of what is uncertain: give "
-            "a smaller uncertainty (--uncertainty), or other values of the parameters"
+            "a smaller uncertainty (--relative-uncertainty), or other values of the parameters"
         )
     objective.markers = search.markers
     spread = np.exp(objective.each(search.best) - objective.each(search.best)[0])
