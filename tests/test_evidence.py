@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from scipy.stats import binomtest, chisquare
 
@@ -161,6 +162,22 @@ def test_a_posterior_is_the_linear_interval_where_that_is_right_and_holds_the_tr
         for path, one in case["parameters"].items():
             assert chisquare(one["ranks"]).pvalue > 0.01, f"{name}, {path}"
             assert binomtest(one["posterior"], size, 0.95).pvalue > 0.01, f"{name}, {path}"
+
+
+@pytest.mark.quick
+def test_shaped_commands_leave_little_swing():
+    """2 % of the travel, and 5 % with a stiffness a quarter off, but for ZV, which is not for it."""
+    size, figures = figures_of("shaping")
+    assert figures["links"] == 20
+    assert set(figures["durations"]) == {"0.5", "1", "1.5"}
+    for duration, rows in figures["durations"].items():
+        for name in ("ZV", "ZVD", "EI"):
+            right, off = (np.asarray(rows[name][what]) for what in ("right", "stiffness_off"))
+            assert len(right) == len(off) == size
+            assert np.count_nonzero(right <= 2.0) >= size - 1, (duration, name)
+            assert np.max(right) < 2.1, (duration, name)
+            assert name == "ZV" or np.max(off) <= 5.0, (duration, name)
+            assert np.all(right < 0.3 * np.asarray(rows["unshaped"]["right"])), (duration, name)
 
 
 def is_within(one):
