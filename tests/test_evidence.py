@@ -166,7 +166,7 @@ def test_a_posterior_is_the_linear_interval_where_that_is_right_and_holds_the_tr
 
 @pytest.mark.quick
 def test_shaped_commands_leave_little_swing():
-    """2 % of the travel, and 5 % with a stiffness a quarter off, but for ZV, which is not for it."""
+    """2 % of the travel, and 5 % with a stiffness a quarter off by those that are for it."""
     size, figures = figures_of("shaping")
     assert figures["links"] == 20
     assert set(figures["durations"]) == {"0.5", "1", "1.5"}
