@@ -566,6 +566,8 @@ def shape_command(
             "the air damps a swing of this size so much that the arm creeps to its rest, and does "
             "not swing about it"
         )
+    if lost := len(drawn) - min(len(row.drawn) for row in rows):
+        notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")
     soonest, *others = [np.inf if row.settled is None else row.settled for row in rows]
     if soonest <= min(others, default=np.inf) and np.isfinite(soonest):
         notes.append("no shaped command brings the tip to rest sooner than the command as it was")
