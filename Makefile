@@ -52,6 +52,10 @@ $(VENV)/.installed-dev: pyproject.toml $(CONSTRAINTS) | $(VENV)/bin/python
 
 demo: $(VENV)/.installed
 	$(BIN)/giajax fit --data data/synthetic/base_step.csv
+	@echo
+	@echo "giajax is installed in $(VENV): begin with '. $(BIN)/activate', then 'giajax --help'."
+	@echo "The fit as a page for a browser, giajax-out/base_step/report.html:"
+	@echo "  $(BIN)/python -m pip install -e '.[report]' && $(BIN)/giajax report giajax-out/base_step"
 
 check: $(VENV)/.installed-dev
 	@$(MAKE) --no-print-directory --jobs=2 --keep-going lint types quick

@@ -8,6 +8,7 @@ import pytest
 from giajax import load_result
 from giajax.cli import main
 from giajax.report import _pages
+from giajax.runtime.text import install_command
 from page_reader import Page, loaded_from_elsewhere
 
 DATA = Path(__file__).resolve().parents[2] / "data" / "synthetic"
@@ -71,7 +72,7 @@ def test_what_is_missing_is_said_before_the_fit(fit, tmp_path, monkeypatch, caps
     for command in (run, ["report", str(fit), "--page", str(tmp_path / "page.html")]):
         assert main(command) == 2
         said = capsys.readouterr().err
-        assert "pip install 'giajax[report]'" in said
+        assert install_command("report") in said
         assert said.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 

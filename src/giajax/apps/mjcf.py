@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from ..mechanics.arm import Arm, bodies, chain, lift, six_points
 from ..runtime.files import read_text
 from ..runtime.limits import RESULT_BYTES
-from ..runtime.text import InputError, one_of
+from ..runtime.text import InputError, install_command, one_of
 
 if TYPE_CHECKING:
     import mujoco
@@ -146,7 +146,7 @@ def read_mjcf(
 
 def _mujoco() -> Any:
     if find_spec("mujoco") is None:
-        raise InputError("MuJoCo is not installed: pip install 'giajax[mujoco]'")
+        raise InputError(f"MuJoCo is not installed: {install_command('mujoco')}")
     import mujoco
 
     return mujoco

@@ -35,7 +35,7 @@ from ..runtime.limits import (
     UNPACKED_TIMES,
     VALUE,
 )
-from ..runtime.text import InputError, shown, tried
+from ..runtime.text import InputError, install_command, shown, tried
 from ._foreign import ForeignColumn, ForeignTable, ImportSettings, Numbers, placed, some
 
 _SUFFIXES = (".mcap", ".db3")
@@ -122,7 +122,7 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise InputError(
-            'a bag needs rosbags, which is not installed: pip install "giajax[ros]"'
+            f"a bag needs rosbags, which is not installed: {install_command('ros')}"
         ) from None
     if how.frame_rate is not None:
         raise InputError(f"{path}: a bag has its own times: leave out --frame-rate")

@@ -8,7 +8,7 @@ from ..fitting import FitResult
 from ..recordings import Run
 from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
-from ..runtime.text import InputError
+from ..runtime.text import InputError, install_command
 from ..studies import Contrast
 from ._text import SIGNATURE
 
@@ -30,7 +30,7 @@ def check_page(path: str | Path | None = None, *, force: bool = False) -> None:
     if missing:
         raise InputError(
             f"a page needs {' and '.join(missing)}, which must be installed: "
-            "pip install 'giajax[report]'"
+            f"{install_command('report')}"
         )
     if path is None:
         return

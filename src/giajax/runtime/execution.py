@@ -41,7 +41,7 @@ from .process import (
 )
 from .records import plain_data
 from .tasks import Outcome, Task, read_outcome, write_outcome
-from .text import InputError, abridged, error_in_words
+from .text import InputError, abridged, error_in_words, install_command
 
 Kept = TypeVar("Kept")
 
@@ -298,7 +298,7 @@ def _connected(address: str) -> Iterator[Any]:
     except ImportError:
         raise InputError(
             "a scheduler needs the package distributed, which is not installed: "
-            'pip install "giajax[cluster]"'
+            f"{install_command('cluster')}"
         ) from None
     try:
         client = Client(address, timeout=_PATIENCE)

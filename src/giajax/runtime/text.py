@@ -4,12 +4,15 @@ import abc
 import contextlib
 import html
 import inspect
+import json
 import math
 import re
+import shlex
+import sys
 import textwrap
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
 
 if TYPE_CHECKING:
@@ -184,6 +187,29 @@ def narrowest(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[tu
         wraps = longest > max(_SENTENCE, *words, 0)
         found.append((max(words, default=0) if wraps else longest, wraps))
     return found
+
+
+def install_command(extra: str) -> str:
+    """What a person types to install an extra of the giajax that runs.
+
+    Of one that was installed from a checkout that is by its folder: no index need have giajax.
+    """
+    # Slow to import, and seldom asked.
+    from importlib.metadata import PackageNotFoundError, distribution
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
+    plain = f"pip install 'giajax[{extra}]'"
+    try:
+        origin = json.loads(distribution("giajax").read_text("direct_url.json") or "{}")
+    except (PackageNotFoundError, ValueError):
+        return plain
+    folder = Path(url2pathname(urlsplit(origin.get("url", "")).path))
+    if "dir_info" not in origin or not (folder / "pyproject.toml").is_file():
+        return plain
+    editable = "-e " if origin["dir_info"].get("editable") else ""
+    python, where = shlex.quote(sys.executable), shlex.quote(f"{folder}[{extra}]")
+    return f"{python} -m pip install {editable}{where}"
 
 
 # A path of a deep folder, and a sentence that lists what there is.

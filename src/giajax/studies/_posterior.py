@@ -21,7 +21,7 @@ from ..runtime.execution import InProcess, Threads, run_tasks
 from ..runtime.process import is_stopped
 from ..runtime.programs import program
 from ..runtime.tasks import Outcome, Task
-from ..runtime.text import InputError
+from ..runtime.text import InputError, install_command
 from ._posterior_records import Posterior, PosteriorSummary, bands, doubts, marginal
 from ._refit import Fitted
 
@@ -270,7 +270,7 @@ def check_posterior(*, chains: int = 1, draws: int = 8, warmup: int = 0) -> None
     """Refuse what cannot be drawn, before anything is computed."""
     if importlib.util.find_spec("numpyro") is None:
         raise InputError(
-            'a posterior needs NumPyro, which is not installed: pip install "giajax[posterior]"'
+            f"a posterior needs NumPyro, which is not installed: {install_command('posterior')}"
         )
     for what, number, least in (("chains", chains, 1), ("draws", draws, 8), ("warmup", warmup, 0)):
         if number < least:

@@ -15,7 +15,7 @@ from ..fitting import FitResult, Optimum, student_reach
 from ..recordings import Run
 from ..runtime.arrays import Float
 from ..runtime.records import finite_or_none
-from ..runtime.text import InputError
+from ..runtime.text import InputError, install_command
 from ._refit import StudyRecord
 
 # Whether chains have mixed: R-hat and effective sample sizes.
@@ -122,7 +122,7 @@ def as_arviz(
                 package = importlib.import_module("arviz")
         except ImportError:
             raise InputError(
-                'ArviZ is not installed, which takes the draws: pip install "giajax[posterior]"'
+                f"ArviZ is not installed, which takes the draws: {install_command('posterior')}"
             ) from None
     groups = {"posterior": dict(posterior), "sample_stats": dict(statistics)}
     if package.__name__ == "arviz" and package.__version__.startswith("0."):

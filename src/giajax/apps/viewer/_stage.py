@@ -11,7 +11,7 @@ import numpy as np
 
 from ...models import Block, Scene
 from ...runtime.arrays import Float, Int
-from ...runtime.text import InputError
+from ...runtime.text import InputError, install_command
 from ._gate import PrivateSocket
 from ._show import Show, words
 
@@ -29,7 +29,7 @@ def check_viser() -> None:
         import viser  # noqa: F401
     except ImportError:
         raise InputError(
-            "the viewer needs viser, which is not installed: pip install 'giajax[view]'"
+            f"the viewer needs viser, which is not installed: {install_command('view')}"
         ) from None
 
 
