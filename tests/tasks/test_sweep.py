@@ -1,6 +1,7 @@
 """A sweep: its table, what fails, going on, and that fits share what is compiled."""
 
 import json
+import re
 
 import jax
 import polars as pl
@@ -10,6 +11,7 @@ import giajax
 import small_loops
 from giajax import InputError
 from giajax.cli import main
+from giajax.cli._sweep import _show
 from giajax.tasks import Plan
 
 PLAN = """
@@ -74,6 +76,8 @@ def test_a_sweep_goes_on_and_compiles_nothing(swept, compiled, capsys):
     printed = capsys.readouterr()
     assert "4 of 12 fits are there already" in printed.err
     assert "12 fits: 6 converged, 6 failed" in printed.out
+    # Each estimate has its error, and as many digits as that deserves.
+    assert re.search(r"converged +0\.\d+ ± 0\.\d+ +0\.\d+ ± 0\.\d+ +adequate", printed.out)
     after = pl.read_parquet(path)
     # What failed was begun again.
     assert after[:8].drop("seconds").equals(before.drop("seconds"))
@@ -134,3 +138,17 @@ def test_32_bit_is_refused(swept):
     with jax.enable_x64(False), pytest.raises(InputError, match="computes in 32-bit"):
         giajax.sweep(folder / "plan.toml", out=folder / "narrow")
     assert not (folder / "narrow").exists()
+
+
+@pytest.mark.quick
+def test_what_a_fit_does_not_determine_is_marked(capsys):
+    columns = {
+        "status": ["converged", "not_converged", "failed"],
+        "verdict": ["adequate", None, None],
+    }
+    columns |= {"value.gain": [2.34567, 2.0, None], "error.gain": [None, None, None]}
+    _show(pl.DataFrame({**columns, "message": ["", "", "no such file"]}), [])
+    rows = capsys.readouterr().out.splitlines()
+    assert rows[1].split() == ["converged", "2.34567", "(not", "determined)", "adequate"]
+    assert rows[2].split() == ["not_converged", "2", "-"]
+    assert rows[3].split() == ["failed", "-", "-"]

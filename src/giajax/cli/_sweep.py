@@ -1,7 +1,7 @@
 """`giajax sweep`: one fit many times, with other values, runs or options."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -105,12 +105,31 @@ def _list(plan: "Plan", folder: Path) -> None:
     print(f"\n{len(rows)} fits into {folder}, {known} of them done already")
 
 
+def _estimate(row: dict[str, Any], path: str) -> str | None:
+    """Value and error of a parameter, SI, or that a fit which converged does not determine it."""
+    from ..runtime.text import format_estimate
+
+    value = row[f"value.{path}"]
+    if value is None:
+        return None
+    shown, error = format_estimate(value, row.get(f"error.{path}"))
+    if error != "-":
+        return f"{shown} \N{PLUS-MINUS SIGN} {error}"
+    return f"{shown} (not determined)" if row["status"] == "converged" else shown
+
+
 def _show(table: "pl.DataFrame", columns: list[str]) -> None:
     """The first rows: what differs, what was found, and how well it describes the data."""
-    values = [name for name in table.columns if name.startswith("value.")]
-    shown = [*columns, "status", *values, "verdict"]
-    rows = table.head(_ROWS).select(shown).rows()
-    headings = [name.removeprefix("value.") if name in values else name for name in shown]
+    paths = [name.removeprefix("value.") for name in table.columns if name.startswith("value.")]
+    headings = [*columns, "status", *paths, "verdict"]
+    rows = [
+        [
+            *(row[name] for name in (*columns, "status")),
+            *(_estimate(row, path) for path in paths),
+            row["verdict"],
+        ]
+        for row in table.head(_ROWS).rows(named=True)
+    ]
     print_table(headings, rows, left=0)
     if len(table) > _ROWS:
         print(f"... and {len(table) - _ROWS} more")
