@@ -50,3 +50,23 @@ def test_a_quiet_command_prints_nothing_and_writes(folder, monkeypatch, capsys, 
     assert (folder / written).stat().st_size > 0
     assert main([*words.split(), "--quiet"]) == 2
     assert "exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "predict fit --data run.csv",
+        "compare fit fit",
+        "suspects fit",
+        "wind --data run.csv",
+        "fill",
+        "mission mission.toml",
+        "examples",
+    ],
+)
+def test_what_would_neither_print_nor_write_says_so(folder, monkeypatch, capsys, words):
+    monkeypatch.chdir(folder)
+    assert main([*words.split(), "--quiet"]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("giajax: --quiet prints no table, and nothing is written: add --")

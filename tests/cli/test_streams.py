@@ -112,8 +112,8 @@ def test_streams_that_were_closed_are_as_others(folder):
 def test_a_name_that_is_not_utf_8_is_refused(folder):
     os.rename(b"run.csv", b"r\xfcn.csv")
     before = sorted(os.listdir(b"."))
-    for words in (r"check $'r\xfcn.csv'", r"init $'r\xfcn.csv'", r"fit --data $'r\xfcn.csv'",
-                  r"import a.csv --rate 1 --out $'\xfc.csv'"):  # fmt: skip
+    by_data = [rf"{name} --data $'r\xfcn.csv'" for name in ("check", "init", "fit")]
+    for words in (*by_data, r"import a.csv --frame-rate 1 --to $'\xfc.csv'"):
         status, out, err = shell(f"giajax {words}")
         assert (status, out) == (2, "")
         assert r"\udcfc" in err
@@ -244,7 +244,7 @@ def test_a_drive_that_is_killed_is_there(folder):
         "advance = d.Session.advance\n"
         "def slowly(session, now): advance(session, now); time.sleep(1 / 30)\n"
         "d.Session.advance = slowly\n"
-        "sys.argv[1:] = 'drive arm.toml --replay pad.csv --out run-2.csv'.split()\n"
+        "sys.argv[1:] = 'drive arm.toml --replay pad.csv --to run-2.csv'.split()\n"
         "sys.exit(main())\n"
     )
     running = subprocess.Popen([sys.executable, "-c", code])

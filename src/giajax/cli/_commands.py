@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast, get_args, get_origin, ge
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from ..runtime.aliases import UNTIL
 from ..runtime.files import check_path
 from ..runtime.plugins import load_plugin
 from ..runtime.process import CORES_VARIABLE, configure, is_stopped, stopped_status
@@ -53,8 +54,8 @@ GROUPS = {
 }
 """Titles of the groups of commands, in the order of the help."""
 
-OLD_FORMS_END = "the end of 2027"
-"""How long old forms of the options work."""
+OLD_FORMS_END = UNTIL
+"""How long old forms of the options work: as earlier names of Python do."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,9 +91,9 @@ def command(
     They stand in the help behind the parameter `settings_after`.
 
     The help of all commands shows it in one of `GROUPS`. `old` has the options that it had under
-    other names, and what each is now: an option (or several), an argument by its metavar, or ()
-    where it is gone; "--out FILE.json" is an option whose values of this ending are old. Words
-    beyond the arguments that it has were those of the option `old_words`.
+    other names, and what each is now: an option (or several), or an argument by its metavar;
+    "--out FILE.json" is an option whose values of this ending are old. Words beyond the arguments
+    that it has were those of the option `old_words`.
     """
     if group not in GROUPS:
         raise ValueError(f"there is no group '{group}': use one of {', '.join(GROUPS)}")
@@ -195,10 +196,10 @@ def command_of(function: Callable[..., None], registered: Registered) -> type[Ty
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
             """Translate old forms, check the words, then convert them."""
             translation = Translation(self, registered, args)
-            for note in translation.notes:
-                typer.echo(note, err=True)
             args = translation.words
             typed = self.make_parser(ctx).parse_args(args=list(args))[0]
+            for note in translation.notes:
+                typer.echo(note, err=True)
             for name, value in typed.items():
                 for word in _words(value):
                     _check(types.get(name), word, name)
@@ -267,8 +268,8 @@ class Translation:
         self._registered, self._options = registered, _named(command)
         counts = (each.nargs if each.nargs > 0 else len(typed) for each in _arguments(command))
         self._places = sum(counts)  # left for arguments
-        self._named = {word.partition("=")[0] for word in typed}
         self._given: set[str] = set()
+        self._moved: dict[str, str] = {}  # values of options that are arguments now, by metavar
         self._found: dict[str, tuple[str, ...]] = {}  # old forms, and what each is now
         left = list(typed)
         while left:
@@ -284,6 +285,8 @@ class Translation:
                 self._old_option(name, equals + value, left)
             else:
                 self._option(word, name, left)
+        for value in self._moved.values():
+            (self._behind if value.startswith("-") else self.words).append(value)
         self.words += ["--", *self._behind] if self._behind else []
         forms = old_forms(command, registered)
         for form, news in self._found.items():
@@ -294,34 +297,36 @@ class Translation:
             f"note: {old} is now {now}; the old form works until {OLD_FORMS_END}"
             for old, now in map(forms.__getitem__, self._found)
         ]
-        if "--quiet" in self._given or "--quiet" in self._found:
+        if "--quiet" in self._given:
             self.notes = []
 
     def _argument(self, word: str, words: list[str]) -> None:
         """Take a word that is no option, which may be one too many as it always was."""
         option = self._registered.old_words
         self._places -= 1
-        again = "" in self._found and not self._options[option].multiple
-        if self._places >= 0 or not option or option in self._named or again:
+        if self._places >= 0 or not option:
             words.append(word)
+            return
+        if "" in self._found and not self._options[option].multiple:
+            words.append(word)  # one too many, as it always was
             return
         self._found[""] = (option,)
         self.words += [option, word]
 
     def _old_option(self, name: str, value: str, left: list[str]) -> None:
-        """Take an option that is called otherwise, or is an argument, or is gone."""
+        """Take an option that is called otherwise, or is an argument."""
         news = self._found[name] = self._registered.old[name]
         if all(new in self._options and self._options[new].is_flag for new in news):
             self.words += [new + value for new in news]
             return
         values = [value[1:]] if value else left[:1]
         del left[: 0 if value else 1]
-        for new in news:
+        for new in news if values else news[:1]:
             if new in self._options:
                 self.words += [new, *values]
-            else:
-                self._places -= 1
-                self.words += values
+            elif values:  # the last one counts, as of any option that is given again
+                self._places -= new not in self._moved
+                self._moved[new] = values[0]
 
     def _option(self, word: str, name: str, left: list[str]) -> None:
         """Take an option as it is, whose value may be of an old ending."""
@@ -336,7 +341,7 @@ class Translation:
             del left[:1]
         for form in self._registered.old:
             option, _, old_value = form.partition(" ")
-            if old_value and option == name and value.endswith(Path(old_value).suffix):
+            if old_value and option == name and value.lower().endswith(Path(old_value).suffix):
                 self._found[form] = ()
 
 
@@ -638,6 +643,12 @@ def failed_simulation(options: str) -> Iterator[None]:
     except SimulationError as error:
         typer.echo(f"giajax: {error}{options}", err=True)
         raise typer.Exit(1) from None
+
+
+def check_quiet(quiet: bool, *, written: Any, as_json: bool = False, by: str) -> None:
+    """Refuse a command that would compute, and neither print nor write what it found."""
+    if quiet and written is None and not as_json:
+        raise InputError(f"--quiet prints no table, and nothing is written: add {by}")
 
 
 def say_progress(quiet: bool) -> Callable[[str], None] | None:

@@ -8,7 +8,18 @@ from typing import Annotated
 import typer
 
 from ..runtime.process import configure
-from ._commands import Force, Json, Paths, Quiet, Renamed, Texts, argument, command, print_table
+from ._commands import (
+    Force,
+    Json,
+    Paths,
+    Quiet,
+    Renamed,
+    Texts,
+    argument,
+    check_quiet,
+    command,
+    print_table,
+)
 from ._on_result import OnResult, on_result
 
 
@@ -39,6 +50,7 @@ def compare(
 
     Whether they agree to within their errors, and which describes the data better.
     """
+    check_quiet(quiet, written=page, as_json=as_json, by="--page FILE.html or --json")
     if len(results) < 2:
         raise typer.BadParameter("one result has nothing to be compared with: give two or more")
     from ..recordings import check_output_files, stored_result, write_files
@@ -99,8 +111,7 @@ whatever their errors. AIC and BIC are of the fitted part, each less
 that of the best; a large difference on the part that judges and a small one here means a model
 that describes what it saw and no more.""",
     group="fit",
-    # It prints, and writes no file; its progress is shown where somebody watches.
-    old={"--held-out": "--validation", "--quiet": ()},
+    old={"--held-out": "--validation"},
 )
 def choose(
     data: Annotated[list[Path], "RUN.csv", "A run to fit to."],
@@ -111,6 +122,7 @@ def choose(
     only: Annotated[Texts, "NAME", "Compare only these."] = None,
     rename: Renamed = None,
     as_json: Json = False,
+    quiet: Annotated[bool, "No progress."] = False,
 ) -> None:
     """Compare models of hysteresis on loops that judge them.
 
@@ -124,7 +136,7 @@ def choose(
     configure()
     from ..studies import choose_hysteresis
 
-    watched = sys.stderr.isatty()
+    watched = sys.stderr.isatty() and not quiet
     say = (lambda name: typer.echo(f"fitting {name} ...", err=True)) if watched else None
     choice = choose_hysteresis(runs, others, fraction=fraction, candidates=only, progress=say)
     ended = [one for one in choice.candidates if one.converged] or choice.candidates

@@ -17,6 +17,7 @@ from ._commands import (
     Texts,
     ToRun,
     argument,
+    check_quiet,
     command,
     print_table,
 )
@@ -322,10 +323,10 @@ def examples(
 
     Or copy them to start from.
     """
+    check_quiet(quiet, written=copy, by="--copy DIR")
     root = examples_root()
     if copy is None:
-        if not quiet:
-            _show_examples(root)
+        _show_examples(root)
         return
     from ..recordings import check_output_folder, make_folder, write_files
 

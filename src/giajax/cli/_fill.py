@@ -14,6 +14,7 @@ from ._commands import (
     Quiet,
     Texts,
     argument,
+    check_quiet,
     command,
     print_table,
     say_written,
@@ -71,6 +72,7 @@ def fill(
     """
     from ..recordings import Definition, check_output_folder
 
+    check_quiet(quiet, written=out, as_json=as_json, by="--out DIR or --json")
     if not 0 < minutes <= FILLING_S / 60:
         raise InputError(
             f"--minutes is {minutes:g}: give a positive number of at most {FILLING_S / 60:.0f}"

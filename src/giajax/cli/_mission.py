@@ -17,6 +17,7 @@ from ._commands import (
     Quiet,
     Texts,
     argument,
+    check_quiet,
     command,
     origin,
     print_table,
@@ -165,6 +166,7 @@ def mission(
     """
     from ..recordings import Definition, check_output_files, check_output_folder, write_files
 
+    check_quiet(quiet, written=out or page, as_json=as_json, by="--out DIR, --page or --json")
     flown_at = numbers(speeds)
     if flown_at is None or min(flown_at) < 0:
         raise InputError(f"--speeds is '{speeds}': give numbers of at least 0, such as 0,0.1,0.2")

@@ -17,6 +17,7 @@ from ._commands import (
     Renamed,
     Texts,
     argument,
+    check_quiet,
     command,
     print_table,
 )
@@ -260,6 +261,7 @@ def predict(
     The runs start as their sidecars, or the fit definition, say: with first_row = true in
     [initial] as in their first row.
     """
+    check_quiet(quiet, written=to, by="--to TABLE.csv")
     from ..recordings import (
         Definition,
         check_output_files,

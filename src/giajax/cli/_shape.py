@@ -40,8 +40,8 @@ Examples:
                             ZV, ZVD and EI, with what the fit leaves open
   giajax shape command.csv --model my_arm.toml --shaper ZVD --out shaped
                             one of them, for an arm that is stated
-  giajax synth --data shaped/command_zvd.csv --model giajax-out/run
-               --channels tip_z --to rehearsal.csv
+  giajax synth --data shaped/command_zvd.csv --model giajax-out/run \\
+      --channels tip_z --to rehearsal.csv
                             the arm of the fit, driven by one of them
 
 \b

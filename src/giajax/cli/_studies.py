@@ -17,6 +17,7 @@ from ._commands import (
     ManyProgress,
     Paths,
     Texts,
+    check_quiet,
     print_table,
     say_written,
     write_folder,
@@ -346,6 +347,7 @@ def suspects(
     from ..tasks import held_out_runs
 
     deviations = plain_settings(uncertainty, "--uncertainty")
+    check_quiet(given.quiet, written=given.out, as_json=given.as_json, by="--out DIR or --json")
     path = None if given.out is None else given.checked("suspects")
     if validation and not ladder:
         raise typer.BadParameter("--validation judges the fits of a ladder: add --ladder")
@@ -388,6 +390,8 @@ def suspects(
     if path is not None:
         make_folder(path.parent)
         write_files({path: fitted.to_json().encode()}, force=given.force)
+        if shown:
+            say_written(path.parent, [path.name])
     if given.as_json:
         from ..runtime.records import plain_data
 

@@ -14,6 +14,7 @@ from ._commands import (
     Quiet,
     Renamed,
     Texts,
+    check_quiet,
     command,
     print_table,
     say_progress,
@@ -78,6 +79,7 @@ def wind(
     """
     from ..recordings import check_output_folder, observing, parse_rename, read_run
 
+    check_quiet(quiet, written=out, as_json=as_json, by="--out DIR or --json")
     if out is not None:
         check_output_folder(out, _FILES, force=force)
     parts, length_scale = gust_numbers(gusts)
