@@ -292,7 +292,10 @@ class Translation:
         for form, news in self._found.items():
             for new in self._given.intersection(news):
                 old, now = forms[form]
-                raise InputError(f"{old} is now {now}, and {new} is given, too: leave one out")
+                many = "" if form else f"{shown(self._word)} is one word too many: "
+                raise InputError(
+                    f"{many}{old} is now {now}, and {new} is given, too: leave one out"
+                )
         self.notes = [
             f"note: {old} is now {now}; the old form works until {OLD_FORMS_END}"
             for old, now in map(forms.__getitem__, self._found)
@@ -310,7 +313,7 @@ class Translation:
         if "" in self._found and not self._options[option].multiple:
             words.append(word)  # one too many, as it always was
             return
-        self._found[""] = (option,)
+        self._found[""], self._word = (option,), word
         self.words += [option, word]
 
     def _old_option(self, name: str, value: str, left: list[str]) -> None:
