@@ -179,6 +179,7 @@ def untuned(arm, command):
     return np.array([[row.residual, row.soft, row.stiff] for row in found.rows]), found
 
 
+@pytest.mark.slow
 def test_a_command_that_begins_elsewhere_is_the_same_move():
     """The arm rests by its first row: there is no swing of a false start."""
     arm = takeichi_20m_full(3, parameters={"gravity": 0.0})
@@ -197,6 +198,7 @@ def test_an_arm_that_sags_begins_at_its_sag():
     assert found.rows[1].residual < 0.3 * found.rows[0].residual
 
 
+@pytest.mark.slow
 def test_a_drive_with_half_of_the_gain_moves_half_as_far():
     plain, halved = (
         takeichi_20m_full(2),
@@ -211,6 +213,7 @@ def test_a_drive_with_half_of_the_gain_moves_half_as_far():
     assert behind.swing == pytest.approx(one.swing / np.sqrt(2), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_command_there_and_back_is_of_the_travel_in_between(short):
     angles = np.zeros((4, 6))
     angles[1:3, 0] = 0.1
