@@ -173,7 +173,9 @@ def test_the_command_line(task, capsys):
     assert "holds the result of other data" in said
     assert main([*command, *held[:2], *held[4:], "--no-figures"]) == 2
     assert "what is held out" in capsys.readouterr().err
-    assert main(["suspects", "out", "--ladder", "--max-steps", "1", "--quiet"]) == 0
+    assert (
+        main(["suspects", "out", "--ladder", "--max-steps", "1", "--out", "asked", "--quiet"]) == 0
+    )
     assert main(["suspects", "out", "--ladder", "--max-steps", "1", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out.partition("{")[2].join(["{", ""]))
     assert facts["ladder"]["rungs"][0]["held_out"] == pytest.approx(1, abs=0.4)
