@@ -37,7 +37,7 @@ from ..runtime.programs import program
 from ..runtime.text import InputError
 from ..schema import ARM
 from ..schema.parameters import declared, elements, replace
-from ..simulation import Signal, followed, simulate
+from ..simulation import Signal, constant, followed, simulate
 from .design import draws, known_before
 
 
@@ -294,12 +294,7 @@ def _rest_tips(arm: Arm, commanded: Array) -> Array:
 
 def _reached(arm: Arm, commanded: Array) -> Array:
     """What the drives make of a command in the end, rad."""
-    return followed(_constant(commanded), arm.joints)(jnp.zeros((), commanded.dtype))
-
-
-def _constant(value: Array) -> Signal:
-    still, zero = jnp.zeros_like(value)[None], jnp.zeros(1, value.dtype)
-    return Signal(zero, value[None], still, zero)
+    return followed(constant(commanded), arm.joints)(jnp.zeros((), commanded.dtype))
 
 
 @program
@@ -594,7 +589,8 @@ def _softer(model: ArmModel, factor: float) -> ArmModel:
 
 def _draws(model: ArmModel, result: FitResult, count: int) -> list[ArmModel]:
     """The model with values that the fit leaves open."""
-    shared = [path for path in result.free if path.partition("[")[0] in _of_arm(model)]
+    of_arm = declared(model.arm)
+    shared = [path for path in result.free if path.partition("[")[0] in of_arm]
     parts = [part for path in shared for part in elements(model, path)]
     if not parts or count < 1:
         return []
@@ -603,10 +599,6 @@ def _draws(model: ArmModel, result: FitResult, count: int) -> list[ArmModel]:
     found = draws(parts, values, errors, correlation, count + 1)[1:]
     paths = [part.path for part in parts]
     return [replace(model, dict(zip(paths, row, strict=True))) for row in found]
-
-
-def _of_arm(model: ArmModel) -> set[str]:
-    return set(declared(model.arm))
 
 
 @dataclasses.dataclass(frozen=True)
