@@ -10,6 +10,7 @@ from . import (
     paper as paper,
     shaping as shaping,
     synthetic as synthetic,
+    tracking as tracking,
     viewer as viewer,
     wind as wind,
 )

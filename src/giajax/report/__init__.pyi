@@ -12,6 +12,7 @@ from ._pages import (
     check_page as check_page,
     compare_page as compare_page,
     report_page as report_page,
+    study_page as study_page,
 )
 from ._pictures import (
     correlation_figure as correlation_figure,

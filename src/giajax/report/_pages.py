@@ -10,7 +10,9 @@ from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
 from ..runtime.text import InputError, install_command
 from ..studies import Contrast
+from ._style import as_data
 from ._text import SIGNATURE
+from ._views import Table
 
 _NEEDED = ("bokeh", "jinja2")
 
@@ -89,3 +91,39 @@ def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
     from . import page
 
     return page.compare_page(found, results)
+
+
+def study_page(
+    *,
+    title: str,
+    kind: str,
+    grade: str,
+    headline: str,
+    notes: Sequence[str],
+    tables: Sequence[tuple[str, Table, str]],
+    pictures: Sequence[tuple[str, bytes, str]],
+) -> bytes:
+    """A verdict, tables and pictures as one HTML file that opens without a network.
+
+    Arguments:
+        title, kind: of the page, and what made it.
+        grade: "good" or "doubtful", which colours the verdict.
+        headline, notes: the verdict, and sentences below it.
+        tables: each with a heading and a note.
+        pictures: PNG files, each with a heading and what it shows.
+
+    Raises:
+        InputError: what draws it is not installed.
+    """
+    check_page()
+    from . import page
+
+    return page.study_page(
+        title=title,
+        kind=kind,
+        grade=grade,
+        headline=headline,
+        notes=list(notes),
+        tables=list(tables),
+        pictures=[(heading, as_data(content), words) for heading, content, words in pictures],
+    )

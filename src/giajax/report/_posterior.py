@@ -1,6 +1,5 @@
 """A posterior as a table, as files and as a section of a page."""
 
-import base64
 import io
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,18 @@ from ..runtime.files import read_bytes
 from ..runtime.text import InputError, format_number, format_range
 from ..studies import Band, Marginal, Posterior, PosteriorSummary
 from ._pictures import channel_label, sample_times, time_label
-from ._style import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png, unfinished
+from ._style import (
+    BLUE,
+    GREY,
+    INK,
+    VERMILLION,
+    as_data,
+    new_figure,
+    plain,
+    to_csv,
+    to_png,
+    unfinished,
+)
 from ._views import PageSection, RecordView, Table
 
 # More parameters than this are too small to see: those least like the linear interval stay.
@@ -314,7 +324,7 @@ def _picture(path: Path) -> str:
         content = read_bytes(path, _MOST_BYTES)
     except (OSError, InputError):
         return ""
-    return "data:image/png;base64," + base64.b64encode(content).decode()
+    return as_data(content)
 
 
 RecordView(place=3, record=PosteriorSummary, table=_table, sentences=_sentences, section=_section)

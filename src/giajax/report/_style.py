@@ -1,5 +1,6 @@
 """How all pictures look, and how they become files. Touches nothing global of matplotlib."""
 
+import base64
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -62,6 +63,11 @@ def plain_colorbar(axes: Axes, image: Any, **place: Any) -> Any:
 def unfinished(result: FitResult) -> str:
     """What a title says of a fit that did not end well."""
     return "" if result.status == "converged" else f" ({result.status.replace('_', ' ')})"
+
+
+def as_data(content: bytes) -> str:
+    """A PNG file as an address that a page holds in itself."""
+    return "data:image/png;base64," + base64.b64encode(content).decode()
 
 
 def to_png(figure: Figure) -> bytes:

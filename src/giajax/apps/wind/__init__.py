@@ -13,4 +13,4 @@ from ._model import (
 )
 from ._record import TAPERS as TAPERS, bands as bands, resting as resting, tapered as tapered
 from ._report import wind_figure as wind_figure, wind_json as wind_json
-from ._response import joint_responses as joint_responses
+from ._response import Turbulence as Turbulence, joint_responses as joint_responses

@@ -103,6 +103,11 @@ def rendered(template: str, *, plots: bool, **facts: Any) -> bytes:
     return with_policy(page.encode())
 
 
+def study_page(**facts: Any) -> bytes:
+    """As of `giajax.report.study_page`."""
+    return rendered("study.html", plots=False, **facts)
+
+
 def some_of(names: Iterable[str]) -> list[str]:
     """The first different names for a title, and how many more there are."""
     different = list(dict.fromkeys(names))

@@ -1,0 +1,55 @@
+"""Where an arm is and what the air does, from late and noisy measurements."""
+
+from ._arm import (
+    Air as Air,
+    Bias as Bias,
+    Held as Held,
+    TrackedArm as TrackedArm,
+    tracked_arm as tracked_arm,
+)
+from ._filter import (
+    Gaussian as Gaussian,
+    Innovation as Innovation,
+    measured as measured,
+    moved as moved,
+    root_of_sum as root_of_sum,
+    smoothed as smoothed,
+)
+from ._report import (
+    TRACK_HEADINGS as TRACK_HEADINGS,
+    band_columns as band_columns,
+    estimate_columns as estimate_columns,
+    estimate_definition as estimate_definition,
+    track_facts as track_facts,
+    track_figure as track_figure,
+    track_notes as track_notes,
+    track_rows as track_rows,
+    track_sections as track_sections,
+)
+from ._rounds import (
+    GATE as GATE,
+    Events as Events,
+    Filtered as Filtered,
+    Followed as Followed,
+    System as System,
+    filtered as filtered,
+    followed_by as followed_by,
+    predicted as predicted,
+    rested as rested,
+    smoothed_states as smoothed_states,
+)
+from ._track import (
+    States as States,
+    Track as Track,
+    Unknown as Unknown,
+    arm_model as arm_model,
+    track as track,
+)
+from ._tracker import DelayedFilter as DelayedFilter, Tracker as Tracker
+from ._verdict import (
+    Cause as Cause,
+    TrackVerdict as TrackVerdict,
+    judge as judge,
+    unseen_states as unseen_states,
+    usual_places as usual_places,
+)

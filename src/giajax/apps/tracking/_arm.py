@@ -1,0 +1,475 @@
+"""An arm as a filter sees it: what is unknown of it, how that moves, and what sensors show."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...mechanics.arm import link_centres, mass_matrix
+from ...models import ArmModel, recorded_channels
+from ...recordings import Channel
+from ...runtime.arrays import Array, Float, Scalar, inverse_of_positive
+from ...runtime.text import InputError
+from ...schema import CAMERA, ENCODER
+from ...schema.parameters import elements, replace
+from ...simulation import RESULTS, Moment, Stepper, Trajectory, constant
+from ..synthetic import gust_coherence, gust_spectrum, wind_frame
+from ..wind import Turbulence
+
+_DRIVE = ("drive_gain", "drive_lag", "drive_saturation")
+_DELAYS = (CAMERA.delay.path, ENCODER.delay.path)
+_QUIET = 2.0  # times its length scale between two places of a gust
+
+
+@dataclasses.dataclass(frozen=True)
+class Air:
+    """A wind that is unknown: a mean flow, and gusts about it, which are von Karman's.
+
+    Attributes:
+        wind: the mean flow to begin with, deviation, length scale and decay of its gusts.
+        mean_deviation: standard deviation of each component of the mean flow, m/s.
+        drift: by which each component of the mean flow has moved after 100 s, m/s.
+        places: along the arm, between which gusts are linear; 1: the same for the whole arm.
+    """
+
+    wind: Turbulence
+    mean_deviation: float
+    drift: float = 0.02
+    places: int = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Bias:
+    """What is added to channels by their sensor, and changes slowly.
+
+    Attributes:
+        channels: that have it, each of which is one of its own where it is not `shared`.
+        deviation: SI.
+        lasting: s; infinite of what is constant.
+    """
+
+    channels: tuple[str, ...]
+    deviation: float
+    lasting: float = np.inf
+
+
+class Held(NamedTuple):
+    """What is known of an interval of time.
+
+    Attributes:
+        time: at its beginning, s.
+        length: s.
+        command: commanded angles at its beginning and end, rad, shape (2, joint).
+        wind: known velocity of the air then, m/s, of the whole arm or of link after link, shape
+            (2, width).
+    """
+
+    time: Scalar
+    length: Scalar
+    command: Float[Array, "2 joint"]
+    wind: Float[Array, "2 width"]
+
+
+class _Gusts(eqx.Module):
+    """Mean flow and gusts as states.
+
+    Attributes:
+        along: share of each place in the wind of each link, shape (link, place).
+        frame: directions along the mean flow and across it, as columns.
+        lasting: of gusts in each of them, s.
+        root: of the covariance of gusts at all places, m/s, for each direction.
+        walk: m/s per root of s.
+    """
+
+    along: Float[Array, "link place"]
+    frame: Float[Array, "3 3"]
+    lasting: Float[Array, "3"]
+    root: Float[Array, "3 place place"]
+    walk: Scalar
+
+    @property
+    def places(self) -> int:
+        return self.along.shape[1]
+
+    def of_links(self, mean: Array, gusts: Array) -> Array:
+        """Velocities by mean flow and gusts (direction, place), flat."""
+        local = self.frame @ gusts + mean[:, None]
+        return (self.along @ local.T).ravel()
+
+
+class TrackedArm(eqx.Module):
+    """What is unknown of an arm in one vector.
+
+    In it are, in this order: angles (rad), rates (rad/s) and what else joints remember; angles that
+    lagging drives have reached (rad); mean flow and gusts (m/s); parameters; biases.
+
+    Attributes:
+        model: the arm and its sensors, whose clocks are right.
+        channels: that are measured.
+        noise: their standard deviations, SI.
+        rows: of the arm's state, for each joint.
+        paths: of the parameters.
+        torque: unmodelled torque of each joint, as white noise, N m root(s).
+        bias_of: which channels a bias is added to, shape (channel, bias).
+        bias_lasting, bias_deviation: s and SI.
+        late: nominal delays of `camera.delay` and `encoder.delay`, s, which measurements already
+            have.
+    """
+
+    model: ArmModel
+    channels: tuple[str, ...] = eqx.field(static=True)
+    noise: Float[Array, " channel"]
+    rows: int = eqx.field(static=True)
+    paths: tuple[str, ...] = eqx.field(static=True)
+    gusts: _Gusts | None
+    torque: Scalar
+    bias_of: Float[Array, "channel bias"]
+    bias_lasting: Float[Array, " bias"]
+    bias_deviation: Float[Array, " bias"]
+    late: Float[Array, "2"]
+
+    # --- where things are ---
+
+    @property
+    def joints(self) -> int:
+        return self.model.arm.count
+
+    @property
+    def lags(self) -> bool:
+        return self.model.arm.joints.drive_lag is not None
+
+    def sizes(self) -> dict[str, int]:
+        """How many numbers each part has, in the order of the vector."""
+        places = 0 if self.gusts is None else self.gusts.places
+        return {
+            "arm": self.rows * self.joints,
+            "drive": self.joints * self.lags,
+            "mean flow": 3 * (places > 0),
+            "gusts": 3 * places,
+            "parameters": len(self.paths),
+            "biases": self.bias_of.shape[1],
+        }
+
+    def slices(self) -> dict[str, slice]:
+        """Where each part is."""
+        found, begin = {}, 0
+        for name, size in self.sizes().items():
+            found[name] = slice(begin, begin + size)
+            begin += size
+        return found
+
+    @property
+    def size(self) -> int:
+        return sum(self.sizes().values())
+
+    def delay_of(self, path: str) -> float | None:
+        """The delay (s) that measurements already have, of the path of a delay."""
+        return float(self.late[_DELAYS.index(path)]) if path in _DELAYS else None
+
+    def memory_at(self, vector: np.ndarray, command: np.ndarray) -> Array:
+        """The arm's state by angles and rates of a vector, where nothing strains the joints."""
+        count = self.joints
+        arm = _without_drives(self.model)
+        begun = Stepper(arm, jnp.ones(())).start(
+            vector[:count], vector[count : 2 * count], command=command
+        )
+        return begun.state
+
+    def arm_state(self, vector: Array) -> Array:
+        """Angles, rates and so on, shape (row, joint)."""
+        return vector[self.slices()["arm"]].reshape(self.rows, self.joints)
+
+    def wind(self, vector: Array) -> Array | None:
+        """Unknown velocity of the air at each link, m/s, shape (link, 3)."""
+        if self.gusts is None:
+            return None
+        where = self.slices()
+        gusts = vector[where["gusts"]].reshape(3, self.gusts.places)
+        return self.gusts.of_links(vector[where["mean flow"]], gusts).reshape(-1, 3)
+
+    def with_parameters(self, vector: Array) -> ArmModel:
+        """The model with the parameters of a vector."""
+        values = vector[self.slices()["parameters"]]
+        known = {
+            path: values[index] for index, path in enumerate(self.paths) if path not in _DELAYS
+        }
+        return replace(self.model, known) if known else self.model
+
+    # --- how it moves ---
+
+    def moved(self, vector: Array, held: Held) -> tuple[Array, Array, Array]:
+        """Where the vector moves to, its derivatives, and a root of what is added by chance."""
+        where, size = self.slices(), self.size
+        biases = where["biases"]
+        moving = biases.start
+        chance = 0 if self.gusts is None else 3 + 3 * self.gusts.places
+
+        def together(both: Array) -> tuple[Array, Array]:
+            moved = self._moved(both[:moving], both[moving:], held)
+            return moved, moved
+
+        both = jnp.concatenate([vector[:moving], jnp.zeros(chance, vector.dtype)])
+        slopes, mean = jax.jacfwd(together, has_aux=True)(both)
+        kept = jnp.where(
+            jnp.isfinite(self.bias_lasting), jnp.exp(-held.length / self.bias_lasting), 1.0
+        )
+        slope = jnp.zeros((size, size), vector.dtype)
+        slope = slope.at[:moving, :moving].set(slopes[:, :moving])
+        slope = slope.at[biases, biases].set(jnp.diag(kept))
+        pushed = jnp.zeros((size, self.joints), vector.dtype)
+        count = self.joints
+        arm = self.with_parameters(vector).arm
+        mobility = inverse_of_positive(mass_matrix(arm, vector[:count]))
+        push = self.torque * jnp.sqrt(held.length) * mobility
+        pushed = pushed.at[count : 2 * count].set(push)
+        blown = jnp.zeros((size, chance), vector.dtype).at[:moving].set(slopes[:, moving:])
+        spread = jnp.diag(self.bias_deviation * jnp.sqrt(1 - kept**2))
+        drifted = jnp.zeros((size, len(kept)), vector.dtype).at[biases].set(spread)
+        moved = jnp.concatenate([mean, kept * vector[biases]])
+        return moved, slope, jnp.concatenate([pushed, blown, drifted], axis=1)
+
+    def _moved(self, vector: Array, chance: Array, held: Held) -> Array:
+        where = self.slices()
+        model = self.with_parameters(vector)
+        arm, joints = model.arm, model.arm.joints
+        command, drive = held.command, vector[where["drive"]]
+        if joints.drive_gain is not None:
+            command = command * jnp.broadcast_to(joints.drive_gain, (self.joints,))[None]
+        if joints.drive_lag is not None:
+            lag = jnp.broadcast_to(joints.drive_lag, (self.joints,))
+            slope = (command[1] - command[0]) / held.length
+            left = jnp.exp(-held.length / jnp.maximum(lag, 1e-3))
+            reached = command[1] - lag * slope + (drive - command[0] + lag * slope) * left
+            command = jnp.stack([drive, reached])
+            drive = reached
+        if joints.drive_saturation is not None:
+            command = command / jnp.sqrt(1 + joints.drive_saturation * command**2)
+        flow, gusts = vector[where["mean flow"]], vector[where["gusts"]]
+        wind = held.wind
+        if self.gusts is not None:
+            air = self.gusts
+            before = gusts.reshape(3, air.places)
+            kept = jnp.exp(-held.length / air.lasting)
+            some = jnp.einsum("dij,dj->di", air.root, chance[3:].reshape(3, air.places))
+            after = kept[:, None] * before + jnp.sqrt(1 - kept**2)[:, None] * some
+            drifted = flow + air.walk * jnp.sqrt(held.length) * chance[:3]
+            unknown = jnp.stack([air.of_links(flow, before), air.of_links(drifted, after)])
+            known = jnp.tile(wind, (1, self.joints)) if wind.shape[1] == 3 else wind
+            wind = known + unknown
+            flow, gusts = drifted, after.ravel()
+        without: Any = dict.fromkeys(_DRIVE)
+        arm = dataclasses.replace(arm, joints=dataclasses.replace(joints, **without))
+        state = vector[where["arm"]].reshape(self.rows, self.joints)
+        blows = wind.shape[1] > 0
+        moment = Moment(held.time, state, command[0], wind[0] if blows else None)
+        stepper = Stepper(arm, held.length)
+        later = stepper.advance(moment, command[1], wind[1] if blows else None)
+        parameters = vector[where["parameters"]]
+        return jnp.concatenate([later.state.ravel(), drive, flow, gusts, parameters])
+
+    # --- what sensors show ---
+
+    def shown(self, vector: Array, held: Held) -> tuple[Array, Array]:
+        """Channels at the end of an interval, and their derivatives."""
+
+        def both(vector: Array) -> tuple[Array, Array]:
+            seen = self._shown(vector, held)
+            return seen, seen
+
+        slope, seen = jax.jacfwd(both, has_aux=True)(vector)
+        return seen, slope
+
+    def _shown(self, vector: Array, held: Held) -> Array:
+        where, model = self.slices(), self.with_parameters(vector)
+        motion = self.motion(vector, held, model)
+        parameters = vector[where["parameters"]]
+        shift = {
+            path: parameters[self.paths.index(path)] - nominal
+            for path, nominal in zip(_DELAYS, self.late, strict=True)
+            if path in self.paths
+        }
+        sensors = model.sensors
+        groups: dict[str, list[str]] = {}
+        for name in self.channels:
+            groups.setdefault(delay_path(name), []).append(name)
+        found: dict[str, Array] = {}
+        for path, names in groups.items():
+            seen = _earlier(motion, shift[path]) if path in shift else motion
+            given = (sensors, lambda times, end, seen=seen: seen, seen.times, tuple(names))
+            found |= recorded_channels(*given)[0]
+        values = jnp.stack([found[name][0] for name in self.channels])
+        return values + self.bias_of @ vector[where["biases"]]
+
+    def motion(self, vector: Array, held: Held, model: ArmModel | None = None) -> Trajectory:
+        """The arm at the end of an interval, as a motion of one sample."""
+        model = self.with_parameters(vector) if model is None else model
+        state, wind = self.arm_state(vector), self.wind(vector)
+        known = held.wind[1]
+        if wind is not None:
+            known = jnp.tile(known, self.joints) if known.shape == (3,) else known
+            flow = known + wind.ravel()
+        else:
+            flow = known
+        drive = vector[self.slices()["drive"]]
+        command = drive if drive.size else held.command[1]
+        without: Any = dict.fromkeys(_DRIVE if drive.size else ())
+        joints = dataclasses.replace(model.arm.joints, **without)
+        memory = state[2:]
+        return Trajectory(
+            times=(held.time + held.length)[None],
+            angles=state[0][None],
+            rates=state[1][None],
+            memory=memory[None] if len(memory) else None,
+            pressures=None,
+            skin=None,
+            arm=dataclasses.replace(model.arm, joints=joints),
+            command=constant_signal(command),
+            wind=constant_signal(flow) if flow.size else None,
+            result=RESULTS.successful,  # type: ignore[arg-type]
+            steps=jnp.zeros(2, dtype=int),
+        )
+
+
+def constant_signal(value: Array) -> Any:
+    """A signal that never changes, also of a value that is traced."""
+    still = constant(np.zeros(value.shape))
+    return dataclasses.replace(still, values=value[None])
+
+
+def _earlier(motion: Trajectory, by: Scalar) -> Trajectory:
+    """A motion by some tenths of a second earlier."""
+    slope = motion.accelerations
+    return dataclasses.replace(
+        motion,
+        angles=motion.angles - by * motion.rates + by**2 / 2 * slope,
+        rates=motion.rates - by * slope,
+    )
+
+
+def delay_path(name: str) -> str:
+    """The path of the delay that a channel has."""
+    quantity = Channel.named(name).quantity
+    return _DELAYS[0] if quantity in ("length", "pixel") else _DELAYS[1]
+
+
+def tracked_arm(
+    model: ArmModel,
+    channels: Sequence[str],
+    noise: Mapping[str, float],
+    *,
+    air: Air | None = None,
+    biases: Sequence[Bias] = (),
+    paths: Sequence[str] = (),
+    torque: float,
+) -> TrackedArm:
+    """What is unknown of an arm whose channels are measured.
+
+    Arguments:
+        model: the arm and its sensors.
+        channels: that are measured.
+        noise: standard deviation of each channel, SI.
+        air: the wind, where it is unknown.
+        biases: of sensors.
+        paths: of parameters that are uncertain, each a single number.
+        torque: unmodelled torque of each joint, as white noise, N m root(s).
+
+    Raises:
+        InputError: a clock rate, or a parameter that has several numbers.
+    """
+    sensors = model.sensors
+    for path, rate in (
+        (CAMERA.clock_rate.path, sensors.camera.clock_rate),
+        (ENCODER.clock_rate.path, sensors.encoder.clock_rate),
+    ):
+        if rate is not None and float(rate):
+            raise InputError(
+                f"{path} is {float(rate):g}, and a state is tracked by clocks that are right: "
+                "correct time_s, and leave it out"
+            )
+    for path in paths:
+        if path not in _DELAYS and len(elements(model, path)) != 1:
+            raise InputError(f"{path} has several numbers: give one of them, such as {path}[0]")
+    late = [0.0 if each is None else float(each) for each in _delays(model)]
+    bias_of, deviations, lasting = _bias_columns(channels, biases)
+    model = dataclasses.replace(model, sensors=sensors.without_clocks())
+    begun = Stepper(_without_drives(model), jnp.ones(())).start()
+    return TrackedArm(
+        model=model,
+        channels=tuple(channels),
+        noise=jnp.asarray([noise[name] for name in channels], float),
+        rows=begun.state.shape[0],
+        paths=tuple(paths),
+        gusts=None if air is None else _gusts_along(model, air),
+        torque=jnp.asarray(torque, float),
+        bias_of=jnp.asarray(bias_of, float),
+        bias_lasting=jnp.asarray(lasting, float),
+        bias_deviation=jnp.asarray(deviations, float),
+        late=jnp.asarray(late, float),
+    )
+
+
+def _delays(model: ArmModel) -> tuple[Any, Any]:
+    return model.sensors.camera.delay, model.sensors.encoder.delay
+
+
+def _without_drives(model: ArmModel) -> Any:
+    without: Any = dict.fromkeys(_DRIVE)
+    return dataclasses.replace(model.arm, joints=dataclasses.replace(model.arm.joints, **without))
+
+
+def _bias_columns(
+    channels: Sequence[str], biases: Sequence[Bias]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    columns, deviations, lasting = [], [], []
+    for bias in biases:
+        column = np.array([name in bias.channels for name in channels], float)
+        if not np.any(column):
+            raise InputError(
+                f"there is a bias of {', '.join(bias.channels)}, which is not measured: leave it "
+                "out"
+            )
+        columns.append(column)
+        deviations.append(bias.deviation)
+        lasting.append(bias.lasting)
+    table = np.stack(columns, axis=1) if columns else np.zeros((len(channels), 0))
+    return table, np.array(deviations, float), np.array(lasting, float)
+
+
+def _gusts_along(model: ArmModel, air: Air) -> _Gusts:
+    """Places of gusts along the straight arm, and how gusts there belong together."""
+    wind, count = air.wind, model.arm.count
+    centres = np.asarray(link_centres(model.arm, jnp.zeros(count)))
+    along = np.linalg.norm(centres - centres[0], axis=1)
+    if air.places < 1 or air.places > count:
+        raise InputError(f"gusts are tracked at {air.places} places of the arm: give 1 to {count}")
+    if air.places == 1:
+        share, where = np.ones((count, 1)), centres[count // 2][None]
+    else:
+        ends = np.linspace(along[0], along[-1], air.places)
+        share = np.stack([np.interp(along, ends, row) for row in np.eye(air.places)], axis=1)
+        where = np.stack([np.interp(ends, along, axis) for axis in centres.T], axis=1)
+    direction = wind.mean / wind.speed
+    carried: dict[str, Any] = {"speed": wind.speed, "length_scale": wind.length_scale}
+    lasts = wind.length_scale / wind.speed
+    frequencies = np.geomspace(1e-3, 1e2, 301) / lasts
+    together = gust_coherence(where, frequencies, along=direction, decay=wind.decay, **carried)
+    roots, lasting = [], []
+    for component in range(3):
+        deviation = max(wind.deviation * wind.shares[component], 1e-6)
+        spectrum = gust_spectrum(frequencies, deviation=1.0, along=component == 0, **carried)
+        weights = spectrum * np.gradient(frequencies)
+        common = np.tensordot(weights / np.sum(weights), together, axes=1)
+        roots.append(deviation * np.linalg.cholesky(common + 1e-9 * np.eye(len(where))))
+        # The spectrum at zero is that of von Karman's.
+        lasting.append(lasts if component == 0 else lasts / 2)
+    return _Gusts(
+        along=jnp.asarray(share),
+        frame=jnp.asarray(np.stack(wind_frame(direction), axis=1)),
+        lasting=jnp.asarray(lasting),
+        root=jnp.asarray(np.stack(roots)),
+        walk=jnp.asarray(air.drift / np.sqrt(100.0)),
+    )

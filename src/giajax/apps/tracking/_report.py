@@ -1,0 +1,221 @@
+"""A track as pictures, tables, plain data, a page and a run."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ...report import BLUE, GREY, VERMILLION, Table, new_figure, plain
+from ._track import States, Track
+from ._verdict import TrackVerdict, unseen_states
+
+_BAND = 1.96  # deviations: 95 %
+
+
+def track_figure(found: Track, title: str = "") -> Figure:
+    """Tip, wind and innovations over time, with bands of 95 %."""
+    blows = found.filtered.wind is not None
+    rows = 4 + blows
+    figure = new_figure(9, 1.7 * rows + 0.6, title or f"{found.run.name}: tracked")
+    axes = figure.subplots(rows, 1, sharex=True)
+    times = found.times
+    for k, axis in enumerate("xyz"):
+        name = f"tip_{axis}"
+        if name in found.arm.channels:
+            column = found.arm.channels.index(name)
+            there = found.there[:, column]
+            shown = np.asarray(found.run.values[name])
+            stamps = found.run.times
+            if stamps is not None and there.any():
+                late = found.arm.delay_of("camera.delay") or 0.0
+                axes[k].plot(stamps - late, shown, ".", color=GREY, ms=2, label="measured")
+        for states, colour, label in (
+            (found.filtered, BLUE, "filter"),
+            (found.smoothed, VERMILLION, "smoother"),
+        ):
+            _band(axes[k], times, states.tip[:, k], states.tip_deviations[:, k], colour, label)
+        plain(axes[k], "", "", f"tip {axis} (m)")
+    axes[0].legend(fontsize=8, frameon=False, ncols=3)
+    if blows:
+        for k, (axis, colour) in enumerate(zip("xyz", (GREY, BLUE, VERMILLION), strict=True)):
+            wind, spread = found.smoothed.wind, found.smoothed.wind_deviations
+            assert wind is not None
+            assert spread is not None
+            _band(axes[3], times, wind[:, k], spread[:, k], colour, axis)
+        plain(axes[3], "", "", "mean wind\nof the links (m/s)")
+        axes[3].legend(fontsize=8, frameon=False, ncols=3)
+    whitened = np.where(found.there, found.whitened, np.nan)
+    axes[-1].plot(times, whitened, ".", color=BLUE, ms=2)
+    for level in (-2, 2):
+        axes[-1].axhline(level, color=GREY, lw=0.8, ls=":")
+    plain(axes[-1], "", "time (s)", "innovations\n(deviations)")
+    return figure
+
+
+def _band(axes: Any, times: Any, mean: Any, spread: Any, colour: str, label: str) -> None:
+    low, high = mean - _BAND * spread, mean + _BAND * spread
+    axes.fill_between(times, low, high, color=colour, alpha=0.2, lw=0)
+    axes.plot(times, mean, color=colour, lw=1, label=label)
+
+
+def estimate_columns(found: Track) -> dict[str, np.ndarray]:
+    """The smoothed states as columns of a run: commands, angles, rates, tip and wind, SI."""
+    states, joints = found.smoothed, range(found.arm.joints)
+    commands = {
+        name: np.interp(found.times, np.asarray(found.run.times), column)
+        for name, column in found.run.commands.items()
+    }
+    columns = dict(commands)
+    columns |= {f"joint{k + 1:02d}_angle": states.angles[:, k] for k in joints}
+    columns |= {f"joint{k + 1:02d}_rate": states.rates[:, k] for k in joints}
+    columns |= {f"tip_{axis}": states.tip[:, k] for k, axis in enumerate("xyz")}
+    return columns
+
+
+def estimate_definition(found: Track) -> dict[str, Any]:
+    """What the sidecar of the smoothed states says: the arm, and that it starts as they do."""
+    arm = found.arm.model.definition()["arm"]
+    origin = f"giajax track of {found.run.name}"
+    return {"model": "arm", "origin": origin, "arm": arm, "initial": {"first_row": True}}
+
+
+def band_columns(found: Track) -> dict[str, np.ndarray]:
+    """Estimates and deviations by the filter, the smoother and in time; names end in their unit."""
+    columns: dict[str, np.ndarray] = {"time_s": found.times}
+    kinds = {"filtered": found.filtered, "smoothed": found.smoothed}
+    if found.now is not None:
+        columns["known_at_s"] = found.now_times
+        kinds["known"] = found.now
+    for kind, states in kinds.items():
+        for name, (mean, spread, unit, factor) in _quantities(states).items():
+            columns[f"{kind}_{name}_{unit}"] = factor * mean
+            columns[f"{kind}_{name}_deviation_{unit}"] = factor * spread
+    return columns
+
+
+def _quantities(states: States) -> dict[str, tuple[Any, Any, str, float]]:
+    found: dict[str, tuple[Any, Any, str, float]] = {}
+    for k, axis in enumerate("xyz"):
+        found[f"tip_{axis}"] = (states.tip[:, k], states.tip_deviations[:, k], "m", 1.0)
+    degree = float(np.rad2deg(1.0))
+    for k in range(states.angles.shape[1]):
+        name = f"joint{k + 1:02d}"
+        spreads = states.angle_deviations[:, k], states.rate_deviations[:, k]
+        found[f"{name}_angle"] = (states.angles[:, k], spreads[0], "deg", degree)
+        found[f"{name}_rate"] = (states.rates[:, k], spreads[1], "deg_per_s", degree)
+    if states.wind is not None and states.wind_deviations is not None:
+        for k, axis in enumerate("xyz"):
+            spread = states.wind_deviations[:, k]
+            found[f"wind_{axis}"] = (states.wind[:, k], spread, "m_per_s", 1.0)
+    for path, values in states.parameters.items():
+        found[path] = (values, states.parameter_deviations[path], "SI", 1.0)
+    for k in range(states.biases.shape[1]):
+        found[f"bias{k + 1:02d}"] = (states.biases[:, k], states.bias_deviations[:, k], "SI", 1.0)
+    return found
+
+
+TRACK_HEADINGS = ("state", "unit", "at the end", "deviation", "smoothed, mean deviation")
+
+
+def track_rows(found: Track) -> list[tuple[Any, ...]]:
+    """A row for the tip, the wind, parameters and biases, and the joint that is known least."""
+    rows: list[tuple[Any, ...]] = []
+    smooth = _quantities(found.smoothed)
+    latest = found.filtered
+    least = int(np.argmax(latest.angle_deviations[-1]))
+    for name, (mean, spread, unit, factor) in _quantities(latest).items():
+        if name.startswith("joint") and name != f"joint{least + 1:02d}_angle":
+            continue
+        words = name if not name.startswith("joint") else f"{name} (known least)"
+        after = float(factor * np.mean(smooth[name][1]))
+        unit = unit.replace("_per_", "/")
+        rows.append((words, unit, float(factor * mean[-1]), float(factor * spread[-1]), after))
+    return rows
+
+
+def track_facts(found: Track, verdict: TrackVerdict) -> dict[str, Any]:
+    """What was found as plain data."""
+    return {
+        "run": found.run.name,
+        "sha256": found.run.sha256,
+        "channels": dict(
+            zip(found.arm.channels, np.asarray(found.arm.noise).tolist(), strict=True)
+        ),
+        "states": found.arm.sizes(),
+        "considered": dict(found.unknown.considered),
+        "estimated": dict(found.unknown.estimated),
+        "latency_s": found.latency,
+        "events": len(found.times),
+        "seconds_per_event": found.seconds,
+        "log_likelihood": float(np.sum(found.log_likelihood)),
+        "verdict": {
+            "adequate": verdict.adequate,
+            "sentence": verdict.sentence,
+            "nis": verdict.nis,
+            "nis_error": verdict.nis_error,
+            "correlation": verdict.correlation,
+            "left_out": verdict.left_out,
+            "tried": list(verdict.tried),
+            "causes": [
+                {"name": c.name, "gain": c.gain, "advice": c.advice, "value": c.value}
+                for c in verdict.causes
+            ],
+        },
+        "at_the_end": [
+            {"state": row[0], "unit": row[1], "value": row[2], "deviation": row[3]}
+            for row in track_rows(found)
+        ],
+        "hardly_seen": [
+            {"state": name, "before": before, "after": after}
+            for name, before, after in unseen_states(found)
+        ],
+    }
+
+
+def track_notes(found: Track, verdict: TrackVerdict) -> list[str]:
+    """Sentences on what a reader should know."""
+    notes = [
+        f"{cause.name}: log-likelihood +{cause.gain:.3g}; {cause.advice}"
+        for cause in verdict.causes[1:]
+    ]
+    if hidden := [name for name, _, _ in unseen_states(found)]:
+        notes.append(
+            f"these channels hardly show {', '.join(hidden[:6])}"
+            + (f" and {len(hidden) - 6} more" if len(hidden) > 6 else "")
+            + ": they are about as uncertain at the end as before"
+        )
+    if verdict.left_out > 0:
+        notes.append(f"{verdict.left_out:.2%} of the measurements were outliers and did not count")
+    if found.now is not None:
+        known = float(np.sqrt(np.mean(np.sum(found.now.tip_deviations**2, axis=1))))
+        notes.append(
+            f"when a measurement comes, {found.now_times[0] - found.times[0]:.2g} s late, the tip "
+            f"is known to {known:.2g} m"
+        )
+    return notes
+
+
+def track_sections(
+    found: Track, verdict: TrackVerdict
+) -> tuple[list[tuple[str, Table, str]], list[str]]:
+    """Tables of a page, each with a heading and a note, and the sentences under its verdict."""
+    rows = [[_text(cell) for cell in row] for row in track_rows(found)]
+    states = Table([*TRACK_HEADINGS], rows, 2)
+    sound = Table(
+        ["", "value", "expected"],
+        [
+            ["NIS per measurement", f"{verdict.nis:.3f}", f"1 +- {4 * verdict.nis_error:.3f}"],
+            ["largest correlation", f"{verdict.correlation:.3f}", "0"],
+            ["outliers", f"{verdict.left_out:.2%}", "0 %"],
+            ["explanations tried", ", ".join(verdict.tried) or "none", ""],
+        ],
+    )
+    tables = [
+        ("States", states, "Deviations are standard deviations of the filter's last state."),
+        ("Innovations", sound, "Measured minus expected, over what is expected of that."),
+    ]
+    return tables, track_notes(found, verdict)
+
+
+def _text(cell: Any) -> str:
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)

@@ -1,0 +1,671 @@
+"""A recorded run tracked: where the arm was, and what a controller would have known of it."""
+
+import dataclasses
+import itertools
+import time as clock
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import root
+
+from ...fitting import FitResult
+from ...mechanics.arm import Arm, acceleration, tip_position
+from ...models import AbstractModel, ArmModel, camera_of, clock_of
+from ...recordings import Run
+from ...runtime.arrays import Array, Float
+from ...runtime.programs import program
+from ...runtime.text import InputError
+from ...schema import ARM
+from ...schema.parameters import find
+from ...simulation import Signal
+from ..design import known_before
+from ._arm import Air, Bias, Held, TrackedArm, tracked_arm
+from ._filter import Gaussian
+from ._rounds import (
+    GATE,
+    Events,
+    Filtered,
+    Followed,
+    filtered,
+    predicted,
+    rested,
+    smoothed_states,
+)
+
+STIFFNESS_SHARE = 3e-4
+"""Default of the unmodelled torque: this share of the mean stiffness, as white noise, root(s)."""
+
+_LONGEST = 0.1  # between two events, s
+_AHEAD = 0.25  # of an interval in which nothing is measured, s
+_DOUBLINGS = 13  # of such intervals an arm has stood at the start: 14 minutes
+# Events of one call, so that runs of every length have the same programs; after the first of them
+# the start is chosen that explains them best.
+_CHUNK = 200
+_MOST = 4e8  # numbers that are kept
+# Of the state at the start: of an arm that has come to rest, and of one that starts as stated.
+_AT_REST = np.deg2rad([1.0, 0.3])
+_STATED = np.deg2rad([2.0, 1.0])
+
+
+@dataclasses.dataclass(frozen=True)
+class Unknown:
+    """What is unknown beside the motion of the arm.
+
+    Attributes:
+        air: the wind; None where that of the run is known, or the air is still.
+        biases: of sensors.
+        considered: standard deviations (SI) of parameters by path, whose uncertainty counts and
+            which are not estimated.
+        correlation: between them; None: none.
+        estimated: of those that are estimated, too.
+        torque: unmodelled torque of each joint, as white noise, N m root(s); None: a default.
+    """
+
+    air: Air | None = None
+    biases: tuple[Bias, ...] = ()
+    considered: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    correlation: Float[np.ndarray, "path path"] | None = None
+    estimated: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    torque: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class States:
+    """A state over time, with its deviations.
+
+    Attributes:
+        angles, rates: of the joints, rad and rad/s, shape (time, joint).
+        tip: m, shape (time, 3).
+        wind: mean over the links of the wind that is unknown, m/s, shape (time, 3), or None.
+        parameters: estimated ones by path, SI.
+        biases: SI, shape (time, bias).
+        angle_deviations, rate_deviations, tip_deviations, wind_deviations, parameter_deviations,
+            bias_deviations: their standard deviations, likewise.
+        mean, root: the whole state, and a root of its covariance.
+    """
+
+    angles: Float[np.ndarray, "time joint"]
+    rates: Float[np.ndarray, "time joint"]
+    tip: Float[np.ndarray, "time 3"]
+    wind: Float[np.ndarray, "time 3"] | None
+    parameters: dict[str, np.ndarray]
+    biases: Float[np.ndarray, "time bias"]
+    angle_deviations: Float[np.ndarray, "time joint"]
+    rate_deviations: Float[np.ndarray, "time joint"]
+    tip_deviations: Float[np.ndarray, "time 3"]
+    wind_deviations: Float[np.ndarray, "time 3"] | None
+    parameter_deviations: dict[str, np.ndarray]
+    bias_deviations: Float[np.ndarray, "time bias"]
+    mean: Float[np.ndarray, "time state"]
+    root: Float[np.ndarray, "time state state"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Track:
+    """A run tracked; made by `track`.
+
+    Attributes:
+        arm: what was tracked.
+        unknown: of it.
+        times: s, shape (event,): of all exposures, and of times between two that are far apart.
+        filtered: by what was measured until each time.
+        smoothed: by the whole run.
+        now: what a controller would have known when a measurement came; None without a delay.
+        now_times: of these, s.
+        latency: after the stamp, s.
+        there, used: which channels were measured, and which counted, shape (event, channel).
+        off, expected: measured minus expected, and its expected deviation, SI.
+        whitened: that as independent numbers of deviation 1.
+        log_likelihood: of the measurements of each event.
+        noise: standard deviation of each channel, SI, by name.
+        gate: as given.
+        start: what was known at the start.
+        seconds: that the filter takes for an event, without compiling.
+    """
+
+    run: Run
+    arm: TrackedArm
+    unknown: Unknown
+    times: Float[np.ndarray, " event"]
+    filtered: States
+    smoothed: States
+    now: States | None
+    now_times: Float[np.ndarray, " event"]
+    latency: float
+    there: np.ndarray
+    used: np.ndarray
+    off: np.ndarray
+    expected: np.ndarray
+    whitened: np.ndarray
+    log_likelihood: np.ndarray
+    noise: dict[str, float]
+    gate: float
+    start: Gaussian
+    seconds: float
+
+
+def arm_model(model: AbstractModel | FitResult) -> ArmModel:
+    """The model of an arm, fitted or not.
+
+    Raises:
+        InputError: it is another model.
+    """
+    stated = model.model if isinstance(model, FitResult) else model
+    if stated.kind != ARM.name:
+        raise InputError(
+            f"the model is that of a {stated.kind}, and arms are tracked: give a fit of one"
+        )
+    return cast("ArmModel", stated)
+
+
+def considered_of(result: FitResult) -> tuple[dict[str, float], np.ndarray]:
+    """Standard errors of the arm's parameters that a fit found, by path, and their correlation."""
+    paths = [
+        path
+        for path in result.free
+        if not path.startswith("initial.") and np.ndim(result.parameters[path].value) == 0
+    ]
+    errors, correlation = known_before(result, paths)
+    kept = [index for index, path in enumerate(paths) if path in errors]
+    return {paths[k]: errors[paths[k]] for k in kept}, correlation[np.ix_(kept, kept)]
+
+
+def with_errors_of(model: AbstractModel | FitResult, unknown: Unknown) -> Unknown:
+    """With the errors of a fit considered, where nothing else is."""
+    if not isinstance(model, FitResult) or unknown.considered:
+        return unknown
+    errors, correlation = considered_of(model)
+    kept = [k for k, path in enumerate(errors) if path not in unknown.estimated]
+    return dataclasses.replace(
+        unknown,
+        considered={path: size for path, size in errors.items() if path not in unknown.estimated},
+        correlation=correlation[np.ix_(kept, kept)],
+    )
+
+
+def delays_of(model: ArmModel, run: Run, channels: Sequence[str]) -> dict[str, float]:
+    """How late each channel shows the arm, s."""
+    sensors, found = model.sensors, {}
+    for name in channels:
+        channel = run.channels[name]
+        delay: Any = sensors.encoder.delay
+        if channel.quantity == "pixel":
+            delay = clock_of(sensors, camera_of(sensors, channel))
+        elif channel.quantity == "length":
+            delay = sensors.camera.delay
+        found[name] = 0.0 if delay is None else float(delay)
+    return found
+
+
+def noise_of(run: Run, channels: Sequence[str], result: FitResult | None) -> dict[str, float]:
+    """Standard deviation of each channel, SI: as the run states it, or as the fit found it.
+
+    Raises:
+        InputError: neither says one.
+    """
+    known: dict[str, float] = {}
+    for fitted in () if result is None else result.runs:
+        for name, channel in fitted.channels.items():
+            known.setdefault(name, channel.noise)
+    quantities: dict[str, float] = {}
+    for name, noise in known.items():
+        if name in run.channels:
+            quantities.setdefault(run.channels[name].quantity, noise)
+    found = {}
+    for name in channels:
+        stated = run.noise(name)
+        if stated is None:
+            stated = known.get(name, quantities.get(run.channels[name].quantity))
+        if stated is None or not stated > 0:
+            raise InputError(
+                f"the noise of {name} of '{run.name}' is not known: state it in [noise], or give a "
+                "fit with --model"
+            )
+        found[name] = float(stated)
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """The events of a run, and what is known of any interval of it.
+
+    Attributes:
+        times: of the events, s.
+        events: for the filter.
+        command, wind: over time; the wind None in still air.
+    """
+
+    times: np.ndarray
+    events: Events
+    command: Signal
+    wind: Signal | None
+    width: int
+
+    def held(self, begin: np.ndarray, end: np.ndarray) -> Held:
+        """What is known of intervals; a jump at their end is none of them."""
+        length = end - begin
+        last = end - 1e-9 * np.maximum(length, 1e-3)
+        edges = np.stack([begin, last], axis=-1)
+        command = _values(self.command, edges, self.command.width)
+        wind = np.zeros((*edges.shape, self.width))
+        if self.wind is not None:
+            wind = _values(self.wind, edges, self.wind.width)
+        return Held(*(jnp.asarray(each, float) for each in (begin, length, command, wind)))
+
+
+def _values(signal: Signal, times: np.ndarray, width: int) -> np.ndarray:
+    knots, values, slopes = (
+        np.asarray(each) for each in (signal.times, signal.values, signal.slopes)
+    )
+    at = np.maximum(np.searchsorted(knots, times.ravel(), side="right") - 1, 0)
+    # Before its first knot a signal has the value there.
+    since = np.maximum(times.ravel() - knots[at], 0.0)
+    return (values[at] + since[:, None] * slopes[at]).reshape(*times.shape, width)
+
+
+def planned(model: ArmModel, run: Run, channels: Sequence[str], *, unknown_air: bool) -> Plan:
+    """The exposures of a run in their order, with steps between those that are far apart.
+
+    Raises:
+        InputError: a run that is driven otherwise than by commanded angles.
+    """
+    for name in run.commands:
+        if run.channels[name].kind != "joint_command":
+            raise InputError(
+                f"'{run.name}' drives the arm by {name}, and an arm is tracked that follows "
+                "commanded angles: leave the column out"
+            )
+    inputs = model.prepare(run)
+    assert run.times is not None
+    delays = delays_of(model, run, channels)
+    table = np.stack([np.asarray(run.values[name], float) for name in channels], axis=1)
+    rows: dict[float, np.ndarray] = {}
+    for late in sorted(set(delays.values())):
+        columns = [index for index, name in enumerate(channels) if delays[name] == late]
+        for stamp, values in zip(run.times - late, table[:, columns], strict=True):
+            row = rows.setdefault(round(float(stamp), 9), np.full(len(channels), np.nan))
+            row[columns] = values
+    exposures = np.array(sorted(rows))
+    times = [exposures[0]]
+    for before, after in itertools.pairwise(exposures):
+        count = max(int(np.ceil((after - before) / _LONGEST - 1e-6)), 1)
+        times += [*np.linspace(before, after, count + 1)[1:-1].tolist(), after]
+    moments = np.array(times)
+    empty = np.full(len(channels), np.nan)
+    values = np.stack([rows.get(round(float(each), 9), empty) for each in moments])
+    begin = np.concatenate([[moments[0] - _LONGEST], moments[:-1]])
+    width = 3 if unknown_air else 0
+    plan = Plan(moments, None, inputs.command, inputs.wind, width)  # type: ignore[arg-type]
+    there = np.isfinite(values)
+    events = Events(
+        plan.held(begin, moments), jnp.asarray(np.where(there, values, 0.0)), jnp.asarray(there)
+    )
+    return dataclasses.replace(plan, events=events)
+
+
+@program
+def _balance(arm: Arm, angles: Array, command: Array, wind: Array | None) -> tuple[Array, Array]:
+    def off(angles: Array) -> tuple[Array, Array]:
+        found = acceleration(arm, angles, jnp.zeros_like(angles), command, wind, None)
+        return found, found
+
+    slope, found = jax.jacfwd(off, has_aux=True)(angles)
+    return found, slope
+
+
+def rest_in(arm: Arm, command: np.ndarray, wind: np.ndarray | None) -> np.ndarray | None:
+    """Angles (rad) at which an arm rests under a command in a wind; None where none are found."""
+    blows = None if wind is None else jnp.asarray(wind, float)
+
+    def off(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        given = (jnp.asarray(angles, float), jnp.asarray(command, float), blows)
+        found, slope = _balance(arm, *given)
+        return np.asarray(found), np.asarray(slope)
+
+    found = root(off, command, jac=True, options={"xtol": 1e-10})
+    return found.x if found.success and np.all(np.isfinite(found.x)) else None
+
+
+def starts(tracked: TrackedArm, held: Held, unknown: Unknown, stated: Any) -> list[Gaussian]:
+    """What may be known of the arm at the start, of which `held` is the first interval.
+
+    It starts as stated, or has come to rest long ago; and the mean flow is what it is guessed to
+    be, or the opposite of it, about which drag has another slope.
+    """
+    where, air = tracked.slices(), unknown.air
+    flows = [None] if air is None else [air.wind.mean, -air.wind.mean]
+    command = np.asarray(held.command[0])
+    angles, rates = np.asarray(stated.angle, float), np.asarray(stated.rate, float)
+    found = []
+    for flow in flows:
+        mean, deviation = np.zeros(tracked.size), np.zeros(tracked.size)
+        if air is not None and flow is not None:
+            mean[where["mean flow"]] = flow
+            deviation[where["mean flow"]] = air.mean_deviation
+        known = np.asarray(held.wind[0])
+        blows = None if not known.size and flow is None else _of_links(tracked, known, flow)
+        spread = dict(unknown.considered) | dict(unknown.estimated)
+        mean[where["parameters"]] = [_nominal(tracked, path) for path in tracked.paths]
+        covariance = np.diag([spread[path] ** 2 for path in tracked.paths])
+        count = len(unknown.considered)
+        if unknown.correlation is not None and count:
+            errors = np.array([*unknown.considered.values()])
+            covariance[:count, :count] = unknown.correlation * np.outer(errors, errors)
+        deviation[where["biases"]] = np.asarray(tracked.bias_deviation)
+        mean[where["drive"]] = command if tracked.lags else []
+        size = tracked.joints
+        for rests in (False, True):
+            here = rest_in(tracked.model.arm, command, blows) if rests else angles
+            if here is None:
+                continue
+            begun, root_of = mean.copy(), np.diag(deviation)
+            begun[:size], begun[size : 2 * size] = here, 0.0 if rests else rates
+            spreads = _AT_REST if rests else _STATED
+            root_of[range(size), range(size)] = spreads[0]
+            root_of[range(size, 2 * size), range(size, 2 * size)] = spreads[1]
+            inside = where["parameters"]
+            if tracked.paths:
+                roots, turns = np.linalg.eigh(covariance)
+                root_of[inside, inside] = turns * np.sqrt(np.maximum(roots, 0.0))
+            state = np.asarray(tracked.memory_at(begun, command))
+            begun[where["arm"]] = state.ravel()
+            start = Gaussian(jnp.asarray(begun), jnp.asarray(root_of))
+            if rests:
+                start = rested(tracked, start, held, _DOUBLINGS)
+                size_of = float(jnp.max(start.deviations[: tracked.joints]))
+                if not size_of < np.pi:  # no rest that it stays at
+                    continue
+            found.append(start)
+    return found
+
+
+def _of_links(tracked: TrackedArm, known: np.ndarray, flow: np.ndarray | None) -> np.ndarray:
+    count = tracked.joints
+    wind = np.zeros((count, 3))
+    if known.size:
+        wind = wind + (known[None] if known.size == 3 else known.reshape(count, 3))
+    return wind if flow is None else wind + flow[None]
+
+
+def _nominal(tracked: TrackedArm, path: str) -> float:
+    late = tracked.delay_of(path)
+    return float(find(tracked.model, path).value(tracked.model)) if late is None else late
+
+
+Outputs = tuple[Array, Array, Array, Array]
+
+
+def _output(tracked: TrackedArm, state: Gaussian) -> Outputs:
+    """Tip and mean wind of a state, and their deviations."""
+
+    def both(vector: Array) -> tuple[Array, Array]:
+        arm = tracked.with_parameters(vector).arm
+        tip = tip_position(arm, vector[: tracked.joints])
+        wind = tracked.wind(vector)
+        found = tip if wind is None else jnp.concatenate([tip, jnp.mean(wind, axis=0)])
+        return found, found
+
+    slope, found = jax.jacfwd(both, has_aux=True)(state.mean)
+    spread = jnp.sqrt(jnp.sum((slope @ state.root) ** 2, axis=1))
+    return found[:3], spread[:3], found[3:], spread[3:]
+
+
+@program
+def _outputs(tracked: TrackedArm, states: Gaussian) -> Outputs:
+    rows: Outputs = jax.lax.map(lambda state: _output(tracked, state), states)
+    return rows
+
+
+@program
+def _output_alone(tracked: TrackedArm, state: Gaussian) -> Outputs:
+    return _output(tracked, state)
+
+
+def as_states(tracked: TrackedArm, states: Gaussian) -> States:
+    """Distributions of the whole state as what they are of."""
+    tip, tip_deviations, wind, wind_deviations = map(
+        np.asarray, _of_each(_outputs, tracked, (states,))
+    )
+    mean, root_of = np.asarray(states.mean), np.asarray(states.root)
+    deviations = np.sqrt(np.sum(root_of**2, axis=2))
+    where, count = tracked.slices(), tracked.joints
+    of = {path: where["parameters"].start + k for k, path in enumerate(tracked.paths)}
+    blows = wind.shape[1] > 0
+    return States(
+        angles=mean[:, :count],
+        rates=mean[:, count : 2 * count],
+        tip=tip,
+        wind=wind if blows else None,
+        parameters={path: mean[:, index] for path, index in of.items()},
+        biases=mean[:, where["biases"]],
+        angle_deviations=deviations[:, :count],
+        rate_deviations=deviations[:, count : 2 * count],
+        tip_deviations=tip_deviations,
+        wind_deviations=wind_deviations if blows else None,
+        parameter_deviations={path: deviations[:, index] for path, index in of.items()},
+        bias_deviations=deviations[:, where["biases"]],
+        mean=mean,
+        root=root_of,
+    )
+
+
+def usual_torque(model: ArmModel) -> float:
+    """The default of the unmodelled torque, N m root(s)."""
+    joints = model.arm.joints
+    return STIFFNESS_SHARE * float(
+        np.mean([*joints.pitch_stiffness.ravel(), *joints.yaw_stiffness.ravel()])
+    )
+
+
+Fixed = tuple[Array, Array, bool]
+
+
+def begun_at(
+    model: ArmModel, run: Run, noise: Mapping[str, float], unknown: Unknown, gate: float
+) -> tuple[TrackedArm, Plan, Gaussian, Fixed]:
+    """What is tracked, its events, the start that explains the first ones best, and settings.
+
+    Raises:
+        InputError: a run that is too long for its states, or one that `planned` refuses.
+    """
+    names = list(noise)
+    tracked = tracked_arm(
+        model,
+        names,
+        noise,
+        air=unknown.air,
+        biases=(*unknown.biases, *_correlated(run, names)),
+        paths=(*unknown.considered, *unknown.estimated),
+        torque=usual_torque(model) if unknown.torque is None else unknown.torque,
+    )
+    plan = planned(model, run, names, unknown_air=unknown.air is not None)
+    if len(plan.times) * tracked.size**2 > _MOST:
+        raise InputError(
+            f"'{run.name}' has {len(plan.times)} times with {tracked.size} states each, more than "
+            "are kept: cut it into several runs"
+        )
+    estimated = np.ones(tracked.size, bool)
+    considered = tracked.slices()["parameters"].start + np.arange(len(unknown.considered))
+    estimated[considered] = False
+    fixed = (jnp.asarray(estimated), jnp.asarray(gate, float), False)
+    first: Any = jax.tree.map(lambda leaf: leaf[0], plan.events.held)
+    begins = starts(tracked, first, unknown, model.prepare(run).initial)
+    return tracked, plan, chosen(tracked, plan, begins, fixed), fixed
+
+
+def track(
+    model: AbstractModel | FitResult,
+    run: Run,
+    *,
+    unknown: Unknown | None = None,
+    latency: float = 0.0,
+    gate: float = GATE,
+    channels: Sequence[str] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Track:
+    """Track a recorded run: its states with their deviations, filtered and smoothed.
+
+    Arguments:
+        model: the arm, or a fit of it, whose errors are then considered.
+        run: with commands and measurements.
+        unknown: what is unknown beside the motion; by default what the fit leaves open.
+        latency: after its stamp a measurement is there, s, beside the delay of its clock.
+        gate: deviations; a measurement that is farther off does not count for the state.
+        channels: that are used; all that are measured by default.
+        progress: called with a line now and then.
+
+    Raises:
+        InputError: a run of another model, without noise, or driven by something else.
+
+    Example:
+        >>> import giajax
+        >>> run = giajax.read_run("data/synthetic/base_step.csv")  # doctest: +SKIP
+        >>> found = giajax.track(giajax.model_for([run]), run)  # doctest: +SKIP
+    """
+    say = progress or (lambda _: None)
+    result = model if isinstance(model, FitResult) else None
+    stated = arm_model(model)
+    if result is not None:
+        stated = cast("ArmModel", result.model_of(run))
+    unknown = with_errors_of(model, Unknown() if unknown is None else unknown)
+    run.require_observations()
+    if run.times is None:
+        raise InputError(f"'{run.name}' has no times: give a run over time")
+    names = list(run.observations if channels is None else channels)
+    if not (0 <= latency < 60 and gate > 0):
+        raise InputError(
+            f"the latency is {latency:g} s and the gate {gate:g}: give 0 to 60 s, and a positive "
+            "number"
+        )
+    noise = noise_of(run, names, result)
+    say("start ...")
+    tracked, plan, begun, fixed = begun_at(stated, run, noise, unknown, gate)
+    say(f"filter over {len(plan.times)} times ...")
+    found, seconds = followed_through(tracked, begun, plan.events, fixed)
+    states = as_states(tracked, found.state)
+    if not np.all(np.isfinite(states.mean)):
+        raise InputError(
+            f"the arm cannot be followed through '{run.name}': its state becomes infinite; compare "
+            "the model with the run first (giajax fit)"
+        )
+    say("smoother ...")
+    whole = found
+    if len(unknown.considered):
+        # By the whole run, what is considered on the way is estimated.
+        every = (jnp.ones(tracked.size, bool), *fixed[1:])
+        whole, _ = followed_through(tracked, begun, plan.events, every)
+    after = as_states(tracked, _smoothed_through(tracked, whole.state, plan.events))
+    late = max(delays_of(stated, run, names).values()) + latency
+    now, now_times = None, plan.times
+    if late > 0:
+        say("what is known in time ...")
+        now = as_states(tracked, _ahead(tracked, plan, found.state, late))
+        now_times = plan.times + late
+    return Track(
+        run=run,
+        arm=tracked,
+        unknown=unknown,
+        times=plan.times,
+        filtered=states,
+        smoothed=after,
+        now=now,
+        now_times=now_times,
+        latency=latency,
+        there=np.asarray(plan.events.there),
+        used=np.asarray(found.used),
+        off=np.asarray(found.innovation.off),
+        expected=np.asarray(found.innovation.deviations),
+        whitened=np.asarray(found.innovation.whitened),
+        log_likelihood=np.asarray(found.innovation.log_likelihood),
+        noise=noise,
+        gate=gate,
+        start=begun,
+        seconds=seconds,
+    )
+
+
+def _correlated(run: Run, names: Sequence[str]) -> list[Bias]:
+    """Noise with a memory that a run states, as a bias that changes; each channel has its own."""
+    found = []
+    for name in names:
+        stated = run.correlated_noise(name)
+        if stated is not None and stated[0] > 0:
+            found.append(Bias((name,), stated[0], stated[1]))
+    return found
+
+
+def _fresh(start: Gaussian, names: Sequence[str]) -> Followed:
+    return Followed(start, jnp.zeros(len(names), int))
+
+
+def chosen(
+    tracked: TrackedArm, plan: Plan, begins: Sequence[Gaussian], fixed: Sequence[Any]
+) -> Gaussian:
+    """The start that explains the first measurements best."""
+    first = next(_chunks(plan.events))[0]
+    best, most = begins[0], -np.inf
+    for start in begins:
+        found = filtered(tracked, _fresh(start, tracked.channels), first, *fixed)
+        likely = float(jnp.sum(found.innovation.log_likelihood))
+        if likely > most:
+            best, most = start, likely
+    return best
+
+
+def _chunks(events: Any, *, back: bool = False) -> Iterator[tuple[Any, int]]:
+    """As many events at once, the last ones repeated at the end, and how many there are."""
+    count = len(jax.tree.leaves(events)[0])
+    begins = range(0, count, _CHUNK)
+    for begin in reversed(begins) if back else begins:
+        size = min(_CHUNK, count - begin)
+        at = np.minimum(np.arange(begin, begin + _CHUNK), count - 1)
+        yield jax.tree.map(lambda leaf, at=at: leaf[at], events), size
+
+
+def followed_through(
+    tracked: TrackedArm, start: Gaussian, events: Events, fixed: Sequence[Any]
+) -> tuple[Filtered, float]:
+    """The filter over all events, and how long it takes for each, s."""
+    parts, state, seconds = [], _fresh(start, tracked.channels), []
+    for chunk, size in _chunks(events):
+        begun = clock.perf_counter()
+        found = jax.block_until_ready(filtered(tracked, state, chunk, *fixed))
+        seconds.append((clock.perf_counter() - begun) / _CHUNK)
+        parts.append(jax.tree.map(lambda leaf, size=size: leaf[:size], found))
+        last: Any = jax.tree.map(lambda leaf: leaf[-1], parts[-1])
+        state = Followed(last.state, last.left_out)
+    whole: Filtered = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    return whole, min(seconds)
+
+
+def _smoothed_through(tracked: TrackedArm, states: Gaussian, events: Events) -> Gaussian:
+    after: Any = jax.tree.map(lambda leaf: leaf[-1], states)
+    parts: list[Gaussian] = [jax.tree.map(lambda leaf: leaf[None], after)]
+    before = jax.tree.map(lambda leaf: leaf[:-1], states)
+    held = jax.tree.map(lambda leaf: leaf[1:], events.held)
+    for (chunk, later), size in _chunks((before, held), back=True):
+        there = jnp.arange(_CHUNK) < size
+        found = smoothed_states(tracked, after, chunk, later, there)
+        after = jax.tree.map(lambda leaf: leaf[0], found)
+        parts.append(jax.tree.map(lambda leaf, size=size: leaf[:size], found))
+    whole: Gaussian = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts[::-1])
+    return whole
+
+
+def _of_each(function: Callable[..., Any], tracked: TrackedArm, rows: Any) -> Any:
+    parts = [
+        jax.tree.map(lambda leaf, size=size: leaf[:size], function(tracked, *chunk))
+        for chunk, size in _chunks(rows)
+    ]
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+
+
+def _ahead(tracked: TrackedArm, plan: Plan, states: Gaussian, late: float) -> Gaussian:
+    """Each state so much later."""
+    count = max(int(np.ceil(late / _AHEAD - 1e-9)), 1)
+    edges = plan.times[:, None] + np.linspace(0.0, late, count + 1)[None]
+    found: Gaussian = _of_each(predicted, tracked, (states, plan.held(edges[:, :-1], edges[:, 1:])))
+    return found

@@ -1,0 +1,342 @@
+"""A filter whose measurements come late, one after the other, and out of their order."""
+
+import bisect
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...fitting import FitResult
+from ...models import AbstractModel
+from ...recordings import Channel
+from ...runtime.arrays import Array
+from ...runtime.text import InputError
+from ._arm import Held, TrackedArm, delay_path, tracked_arm
+from ._filter import Gaussian
+from ._rounds import GATE, Events, Filtered, Followed, System, followed_by
+from ._track import (
+    States,
+    Unknown,
+    arm_model,
+    as_states,
+    starts,
+    usual_torque,
+    with_errors_of,
+)
+
+Kept = TypeVar("Kept", bound=System)
+
+
+class _Clone(NamedTuple):
+    """The state as it was after an event."""
+
+    time: float
+    event: Events
+    followed: Followed
+    found: Filtered | None
+
+
+class DelayedFilter(Generic[Kept]):
+    """Clones of past states, of which a late measurement updates the one of its time.
+
+    A measurement that is older than the last one goes to where it belongs: the state of that time
+    is updated by it, and what was measured since then once more. So the state is what it would be
+    had all measurements come in the order of their times.
+
+    Arguments:
+        system: what is tracked.
+        time: of the start, s.
+        start: what is known then.
+        interval: gives what is known of an interval by its beginning and end, s.
+        longest: interval of the filter, s.
+        history: how long states are kept, s; what comes later than that is lost.
+        gate: deviations; a measurement that is farther off does not count.
+        estimated: which states measurements change; all by default.
+    """
+
+    def __init__(
+        self,
+        system: Kept,
+        time: float,
+        start: Gaussian,
+        interval: Callable[[float, float], Any],
+        *,
+        longest: float = 0.1,
+        history: float = 5.0,
+        gate: float = GATE,
+        estimated: Array | None = None,
+    ) -> None:
+        self.system = system
+        self.lost = 0
+        self._interval = interval
+        self._longest, self._history = longest, history
+        self._gate = jnp.asarray(gate, float)
+        states = start.mean.shape[0]
+        self._estimated = jnp.ones(states, bool) if estimated is None else estimated
+        channels = system.noise.shape[0]
+        self._nothing = np.full(channels, np.nan)
+        begun = Followed(start, jnp.zeros(channels, int))
+        self._clones = [_Clone(time, self._event(time, time + longest, self._nothing), begun, None)]
+
+    @property
+    def time(self) -> float:
+        """Of the last measurement, s."""
+        return self._clones[-1].time
+
+    @property
+    def state(self) -> Gaussian:
+        """At that time."""
+        return self._clones[-1].followed.state
+
+    @property
+    def last(self) -> Filtered | None:
+        """What the last measurement was beside."""
+        return self._clones[-1].found
+
+    def measure(self, time: float, values: Any) -> bool:
+        """Take measurements of one time (s), SI, NaN of what was not measured.
+
+        Returns:
+            Whether they count: what is older than the history is lost.
+
+        Raises:
+            InputError: a number of values that is not that of the channels, or a time that is no
+                number.
+        """
+        if not np.isfinite(time):
+            raise InputError(f"measurements are given for {time} s: give their time as a number")
+        values = np.asarray(values, float)
+        if values.shape != self._nothing.shape:
+            raise InputError(
+                f"a row of {values.size} measurements is given for {self._nothing.size} channels: "
+                "give one for each, NaN where nothing was measured"
+            )
+        times = [clone.time for clone in self._clones]
+        place = bisect.bisect_right(times, time)
+        # Two measurements of one time are one event after the other, without an interval.
+        if place == 0:
+            self.lost += 1
+            return False
+        later = self._clones[place:]
+        del self._clones[place:]
+        self._go_on(time, values)
+        for clone in later:
+            known = np.where(np.asarray(clone.event.there), clone.event.values, np.nan)
+            self._go_on(clone.time, known)
+        self._forget()
+        return True
+
+    def ahead(self, time: float) -> Gaussian:
+        """What is expected of a later time (s), by all that was measured; nothing is kept.
+
+        Raises:
+            InputError: a time before the last measurement.
+        """
+        if not self.time <= time < np.inf:
+            raise InputError(
+                f"a state is requested for {time} s, before the last measurement at {self.time} s: "
+                "give a time that is not before it"
+            )
+        begin, followed = self.time, self._clones[-1].followed
+        for end in self._ends(begin, time):
+            followed, _ = self._after(followed, self._event(begin, end, self._nothing))
+            begin = end
+        return followed.state
+
+    def _go_on(self, time: float, values: np.ndarray) -> None:
+        begin = self._clones[-1].time
+        ends = self._ends(begin, time)
+        for end in ends:
+            event = self._event(begin, end, values if end == ends[-1] else self._nothing)
+            followed, found = self._after(self._clones[-1].followed, event)
+            self._clones.append(_Clone(end, event, followed, found))
+            begin = end
+
+    def _ends(self, begin: float, end: float) -> list[float]:
+        count = max(int(np.ceil((end - begin) / self._longest - 1e-9)), 1)
+        return [*np.linspace(begin, end, count + 1)[1:-1].tolist(), end]
+
+    def _event(self, begin: float, end: float, values: np.ndarray) -> Events:
+        there = np.isfinite(values)
+        return Events(
+            self._interval(begin, end),
+            jnp.asarray(np.where(there, values, 0.0)),
+            jnp.asarray(there),
+        )
+
+    def _after(self, before: Followed, event: Events) -> tuple[Followed, Filtered]:
+        return followed_by(self.system, before, event, self._estimated, self._gate)
+
+    def _forget(self) -> None:
+        old = self.time - self._history
+        times = [clone.time for clone in self._clones]
+        del self._clones[: max(bisect.bisect_right(times, old) - 1, 0)]
+
+
+class _Initial(NamedTuple):
+    angle: np.ndarray
+    rate: np.ndarray
+
+
+class Tracker:
+    """Where an arm is, by rows of commands and measurements that come one after the other.
+
+    The delays of its sensors (`camera.delay`, `encoder.delay`) say how much earlier than its stamp
+    a row shows the arm. Rows may be late and out of order.
+
+    Arguments:
+        model: the arm, or a fit of it, whose errors are then considered.
+        noise: standard deviation of each channel that is measured, SI, by name.
+        unknown: what is unknown beside the motion.
+        time: of the start, s.
+        command: commanded angles then, rad, shape (joint,); 0 by default.
+        angles, rates: of the joints then, rad and rad/s; without angles the arm has come to rest
+            in its wind.
+        history: how late a row may be, s.
+        gate: deviations; a measurement that is farther off does not count.
+
+    Raises:
+        InputError: a model that is not that of an arm, or a channel that it does not have.
+
+    Example:
+        >>> import giajax
+        >>> model = giajax.ArmModel(giajax.takeichi_20m_full(2))
+        >>> tracker = giajax.Tracker(model, noise={"tip_z": 0.01})
+        >>> for row in range(5):
+        ...     _ = tracker.update({"time": 0.1 * row, "joint01_command": 0.01, "tip_z": 0.0})
+        >>> tracker.now(0.6).tip.shape
+        (1, 3)
+    """
+
+    def __init__(
+        self,
+        model: AbstractModel | FitResult,
+        *,
+        noise: Mapping[str, float],
+        unknown: Unknown | None = None,
+        time: float = 0.0,
+        command: Any | None = None,
+        angles: Any | None = None,
+        rates: Any | None = None,
+        history: float = 5.0,
+        gate: float = GATE,
+    ) -> None:
+        stated = arm_model(model)
+        given = with_errors_of(model, Unknown() if unknown is None else unknown)
+        if not noise or not all(size > 0 for size in noise.values()):
+            raise InputError(
+                "a tracker has the noise of at least one channel, in SI units, each positive: give "
+                "noise={'tip_x': 0.02} or the like"
+            )
+        self.arm: TrackedArm = tracked_arm(
+            stated,
+            list(noise),
+            noise,
+            air=given.air,
+            biases=given.biases,
+            paths=(*given.considered, *given.estimated),
+            torque=usual_torque(stated) if given.torque is None else given.torque,
+        )
+        count = self.arm.joints
+        rest = np.zeros(count)
+        first = rest if command is None else _row("command", command, count)
+        self._knots = [float(time)]
+        self._commands = [first]
+        self._history = history
+        initial = _Initial(
+            rest if angles is None else _row("angles", angles, count),
+            rest if rates is None else _row("rates", rates, count),
+        )
+        self._width = 0 if given.air is None else 3
+        found = starts(self.arm, self._held(time - 0.1, time), given, initial)
+        # Of each mean flow one that is as stated, and one that rests if there is a rest.
+        begun = found[0] if angles is not None or len(found) == 1 else found[1]
+        estimated = np.ones(self.arm.size, bool)
+        considered = self.arm.slices()["parameters"].start + np.arange(len(given.considered))
+        estimated[considered] = False
+        self.filter: DelayedFilter[TrackedArm] = DelayedFilter(
+            self.arm,
+            time,
+            begun,
+            self._held,
+            history=history,
+            gate=gate,
+            estimated=jnp.asarray(estimated),
+        )
+
+    def update(self, row: Mapping[str, float]) -> States:
+        """Take a row of commands and measurements, and say where the arm was when it was taken.
+
+        Arguments:
+            row: `time`, the stamp (s); commanded angles of joints by name (`joint01_command`, rad),
+                of which those that are left out stay; measured channels, SI, NaN or left out where
+                there is none.
+
+        Raises:
+            InputError: no time, or a name that is neither a command nor a measured channel.
+        """
+        if "time" not in row or not np.isfinite(row["time"]):
+            raise InputError("a row has no time: give its stamp in s")
+        stamp = float(row["time"])
+        command = self._commands[-1].copy()
+        groups: dict[float, np.ndarray] = {}
+        for name, value in row.items():
+            if name == "time":
+                continue
+            channel = Channel.named(name)
+            if channel.kind == "joint_command" and (channel.index or 0) <= self.arm.joints:
+                command[(channel.index or 1) - 1] = value
+            elif name in self.arm.channels:
+                late = self.arm.delay_of(delay_path(name)) or 0.0
+                values = groups.setdefault(late, np.full(len(self.arm.channels), np.nan))
+                values[self.arm.channels.index(name)] = value
+            else:
+                raise InputError(
+                    f"'{name}' is neither a command of the arm nor a channel of the tracker: give "
+                    f"noise for it, or leave it out"
+                )
+        if stamp > self._knots[-1]:
+            self._knots.append(stamp)
+            self._commands.append(command)
+        for late in sorted(groups, reverse=True):
+            if np.any(np.isfinite(groups[late])):
+                self.filter.measure(stamp - late, groups[late])
+        old = self.filter.time - 2 * self._history
+        while len(self._knots) > 2 and self._knots[1] < old:
+            del self._knots[0], self._commands[0]
+        return self._states(self.filter.state)
+
+    def now(self, time: float | None = None) -> States:
+        """What is expected of a time (s) after the last measurement, by the last command."""
+        ahead = self._knots[-1] if time is None else float(time)
+        if ahead <= self.filter.time:
+            return self._states(self.filter.state)
+        return self._states(self.filter.ahead(ahead))
+
+    @property
+    def innovation(self) -> np.ndarray:
+        """What was measured last beside what was expected, as independent numbers of deviation 1.
+
+        It is 0 of what was not measured.
+        """
+        last = self.filter.last
+        none = np.zeros(len(self.arm.channels))
+        return none if last is None else np.asarray(last.innovation.whitened)
+
+    def _states(self, state: Gaussian) -> States:
+        return as_states(self.arm, Gaussian(state.mean[None], state.root[None]))
+
+    def _held(self, begin: float, end: float) -> Held:
+        knots, rows = np.array(self._knots), np.stack(self._commands)
+        edges = np.array([begin, end])
+        command = np.stack([np.interp(edges, knots, column) for column in rows.T], axis=1)
+        given = (begin, end - begin, command, np.zeros((2, self._width)))
+        return Held(*(jnp.asarray(each, float) for each in given))
+
+
+def _row(name: str, values: Any, count: int) -> np.ndarray:
+    row = np.asarray(values, float)
+    if row.shape != (count,):
+        raise InputError(f"the {name} have shape {row.shape}: give {count} numbers in one row")
+    return row

@@ -1,0 +1,269 @@
+"""Whether a track can be trusted, and what is wrong where it cannot."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from ...fitting import FitResult
+from ...models import AbstractModel, ArmModel
+from ...runtime.text import InputError
+from ...schema import CAMERA
+from ...schema.parameters import elements, replace
+from ..synthetic import DECAY
+from ..wind import first_guess
+from ._arm import Air, Bias, delay_path
+from ._track import Track, Unknown, arm_model, begun_at, followed_through
+
+# What is off by less is of no consequence, whatever the number of measurements.
+_ENOUGH = 0.1
+_BEYOND = 4.0  # standard errors
+_LAGS = 10  # events
+_GAIN = 8.0  # of the log-likelihood: 4 standard errors of one number
+_FIRST = 1000  # events by which explanations are compared
+_SHIFTS = (-0.3, -0.15, 0.15, 0.3)  # of a clock, s
+_OFTEN = 0.02  # of the measurements that are left out
+
+
+@dataclasses.dataclass(frozen=True)
+class Cause:
+    """An explanation of what is off.
+
+    Attributes:
+        name: of it.
+        gain: of the log-likelihood by it.
+        advice: what to do, in a sentence.
+        value, deviation: of the number that it is about, SI; None where it has none.
+    """
+
+    name: str
+    gain: float
+    advice: str
+    value: float | None = None
+    deviation: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class TrackVerdict:
+    """Whether what was measured is as far from what was expected as it should be.
+
+    Attributes:
+        adequate: whether that is so, and no explanation is better.
+        nis: mean square of the whitened innovations, 1 where all is right.
+        nis_error: standard error of that.
+        correlation: largest correlation of them between one event and one of the next ten.
+        left_out: share of the measurements that did not count.
+        causes: explanations that were tried, the best first.
+        tried: names of them all.
+    """
+
+    adequate: bool
+    nis: float
+    nis_error: float
+    correlation: float
+    left_out: float
+    causes: tuple[Cause, ...]
+    tried: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """It in one sentence."""
+        if self.adequate:
+            return "adequate: innovations are white and as large as expected"
+        if self.causes:
+            best = self.causes[0]
+            return f"not adequate: {best.name} (log-likelihood +{best.gain:.3g}); {best.advice}"
+        size = f"innovations are {np.sqrt(self.nis):.2g} times as large as expected"
+        return (
+            f"not adequate: {size}, with a correlation of {self.correlation:.2f}, and no "
+            "explanation that was tried is better: compare the model with the run by a fit"
+        )
+
+
+def consistent(found: Track) -> tuple[bool, float, float, float, float]:
+    """Whether innovations are as expected, and by which numbers; as of `TrackVerdict`."""
+    count = int(np.sum(found.there))
+    nis = float(np.sum(found.whitened[found.there] ** 2) / count)
+    error = float(np.sqrt(2 / count))
+    rows = found.whitened[np.any(found.there, axis=1)]
+    size = np.mean(rows**2)
+    lags = range(1, min(_LAGS, len(rows) - 2) + 1)
+    largest = max((float(np.mean(rows[k:] * rows[:-k]) / size) for k in lags), key=abs, default=0.0)
+    left_out = 1 - float(np.sum(found.used & found.there)) / count
+    sound = (
+        abs(nis - 1) <= max(_ENOUGH, _BEYOND * error)
+        and abs(largest) <= max(_ENOUGH, _BEYOND / np.sqrt(rows.size))
+        and left_out <= _OFTEN
+    )
+    return sound, nis, error, largest, left_out
+
+
+def judge(
+    model: AbstractModel | FitResult,
+    found: Track,
+    *,
+    look: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> TrackVerdict:
+    """Whether a track of a model can be trusted.
+
+    Clocks are shifted in any case. Where innovations are too large or not white, a wind with
+    gusts, other stiffness and drag, a bias of the camera, more unmodelled torque and more noise
+    are tried, too; each by the log-likelihood of the first thousand measurements.
+
+    Arguments:
+        model: that was tracked.
+        found: the track.
+        look: whether explanations are tried.
+        progress: called with a line now and then.
+    """
+    say = progress or (lambda _: None)
+    sound, nis, error, largest, left_out = consistent(found)
+    stated: Any = arm_model(model)
+    if isinstance(model, FitResult):
+        stated = model.model_of(found.run)
+    base = float(np.sum(found.log_likelihood[:_FIRST]))
+    causes, tried = [], []
+
+    def likely(other: ArmModel, unknown: Unknown, noise: dict[str, float] | None = None) -> float:
+        try:
+            given = (other, found.run, noise or found.noise, unknown, found.gate)
+            tracked, plan, start, fixed = begun_at(*given)
+            first: Any = jax.tree.map(lambda leaf: leaf[:_FIRST], plan.events)
+            rows, _ = followed_through(tracked, start, first, fixed)
+        except InputError:
+            return -np.inf
+        gain = float(np.sum(np.asarray(rows.innovation.log_likelihood))) - base
+        return gain if np.isfinite(gain) else -np.inf
+
+    moves = any(np.ptp(column) > 0 for column in found.run.commands.values())
+    for path in dict.fromkeys(delay_path(name) for name in found.arm.channels):
+        if not (moves and look):
+            continue
+        say(f"{path} ...")
+        tried.append(path)
+        nominal = found.arm.delay_of(path) or 0.0
+        gains = {0.0: 0.0}
+        for shift in _SHIFTS:
+            gains[shift] = likely(replace(stated, {path: nominal + shift}), found.unknown)
+        if (late := _highest(gains)) is not None:
+            at, gain, deviation = late
+            if gain > _GAIN:
+                causes.append(
+                    Cause(
+                        path,
+                        gain,
+                        f"{path} is about {nominal + at:.2f} s and stated as {nominal:.2f} s: "
+                        "correct it, or fit it",
+                        nominal + at,
+                        deviation,
+                    )
+                )
+    if look and not sound:
+        for name, unknown, noise, advice in _others(stated, found, nis):
+            say(f"{name} ...")
+            tried.append(name)
+            gain = likely(stated, unknown, noise)
+            if gain > _GAIN:
+                causes.append(Cause(name, gain, advice))
+    causes.sort(key=lambda cause: -cause.gain)
+    return TrackVerdict(
+        sound and not causes, nis, error, largest, left_out, tuple(causes), tuple(tried)
+    )
+
+
+def _highest(gains: dict[float, float]) -> tuple[float, float, float] | None:
+    """Where a parabola through the best three is highest, how high, and its deviation."""
+    shifts = sorted(gains)
+    best = int(np.argmax([gains[shift] for shift in shifts]))
+    middle = min(max(best, 1), len(shifts) - 2)
+    near = shifts[middle - 1 : middle + 2]
+    heights = [gains[shift] for shift in near]
+    if not np.all(np.isfinite(heights)):
+        return (shifts[best], gains[shifts[best]], np.nan) if gains[shifts[best]] > 0 else None
+    bend, slope, level = np.polyfit(near, heights, 2)
+    if bend >= 0:
+        return shifts[best], gains[shifts[best]], np.nan
+    at = float(np.clip(-slope / (2 * bend), shifts[0], shifts[-1]))
+    return at, float(level + slope * at + bend * at**2), float(np.sqrt(-0.5 / bend))
+
+
+_USUAL_WIND, _USUAL_GUSTS = (0.0, 0.2, 0.0), (0.3, 5.0)
+
+
+def _others(stated: ArmModel, found: Track, nis: float) -> list[Any]:
+    """Other explanations: a name, what is unknown by it, noise, and advice."""
+    unknown = found.unknown
+    others: list[Any] = []
+
+    def also(**changes: Any) -> Unknown:
+        return dataclasses.replace(unknown, **changes)
+
+    if unknown.air is None:
+        guess = first_guess(_USUAL_WIND, *_USUAL_GUSTS, DECAY)
+        air = Air(guess, 0.2, places=usual_places(stated))
+        others.append(
+            ("a wind with gusts", also(air=air), None, "track it: --wind and --gusts, or Air")
+        )
+    spread = {
+        path: 0.3 * float(elements(stated, path)[0].value(stated))
+        for path in ("joints.pitch_stiffness", "joints.yaw_stiffness", "air.drag_coefficient")
+        if len(elements(stated, path)) == 1
+    }
+    spread = {path: size for path, size in spread.items() if size > 0}
+    if spread and not unknown.estimated:
+        kept = {path: size for path, size in unknown.considered.items() if path not in spread}
+        estimated = also(considered=kept, correlation=None, estimated=spread)
+        others.append(
+            ("other stiffness or drag", estimated, None, "fit the model to a run like this one")
+        )
+    places = [name for name in found.noise if delay_path(name) == CAMERA.delay.path]
+    by_axis = {axis: tuple(n for n in places if n.endswith(f"_{axis}")) for axis in "xyzuv"}
+    size = 10 * max((found.noise[name] for name in places), default=0.0)
+    biases = tuple(Bias(names, size) for names in by_axis.values() if names)
+    if biases and not unknown.biases:
+        others.append(
+            ("a bias of the camera", also(biases=biases), None, "track it: --bias, or Bias")
+        )
+    torque = 10 * float(found.arm.torque)
+    others.append(
+        ("more unmodelled torque", also(torque=torque), None, f"allow more: --torque {torque:.2g}")
+    )
+    noisier = {name: float(np.sqrt(nis)) * size for name, size in found.noise.items()}
+    others.append(
+        ("other noise", unknown, noisier, f"[noise] is {np.sqrt(nis):.2g} times as large")
+    )
+    return others
+
+
+def usual_places(model: ArmModel) -> int:
+    """As many places of gusts as a long arm needs: one for each 2.5 m, and two at least."""
+    length = float(np.sum(np.asarray(model.arm.links.length)))
+    return int(np.clip(np.ceil(length / 2.5), 2, model.arm.count)) if model.arm.count > 1 else 1
+
+
+def unseen_states(found: Track) -> list[tuple[str, float, float]]:
+    """States that the channels hardly show: name, and deviations before and after, SI.
+
+    By the filter's covariance at the end of the run, which does not depend on what was measured.
+    """
+    before = np.sqrt(np.sum(np.asarray(found.start.root) ** 2, axis=1))
+    after = np.sqrt(np.sum(found.filtered.root[-1] ** 2, axis=1))
+    where, rows = found.arm.slices(), []
+    for name, index in _named(found, where):
+        if before[index] > 0 and after[index] > 0.9 * before[index]:
+            rows.append((name, float(before[index]), float(after[index])))
+    return rows
+
+
+def _named(found: Track, where: dict[str, slice]) -> list[tuple[str, int]]:
+    arm, names = found.arm, []
+    names += [(f"joint{k + 1:02d}_angle", k) for k in range(arm.joints)]
+    if arm.gusts is not None:
+        names += [(f"wind_{axis}", where["mean flow"].start + k) for k, axis in enumerate("xyz")]
+    names += [(path, where["parameters"].start + k) for k, path in enumerate(arm.paths)]
+    biases = where["biases"]
+    names += [(f"bias {k + 1}", biases.start + k) for k in range(biases.stop - biases.start)]
+    return names

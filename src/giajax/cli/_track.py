@@ -1,0 +1,261 @@
+"""`giajax track`: where the arm was, from late and noisy measurements."""
+
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..runtime.process import configure
+from ..runtime.text import InputError
+from ._commands import (
+    Force,
+    Json,
+    OnlyChannels,
+    Quiet,
+    Renamed,
+    Texts,
+    argument,
+    check_quiet,
+    command,
+    print_table,
+    say_progress,
+    say_written,
+    write_folder,
+)
+from ._model import definition_of, is_result, model_of
+from ._simulate import gust_numbers
+from ._values import deviations, noise_section, plain_settings, velocity
+
+if TYPE_CHECKING:
+    from ..apps.tracking import Air, Bias, Track, TrackVerdict
+    from ..models import ArmModel
+    from ..recordings import Run
+
+_FACTS, _PICTURE, _PAGE, _BANDS, _RUN = (
+    "track.json",
+    "track.png",
+    "track.html",
+    "bands.csv",
+    "estimate.csv",
+)
+
+
+@command(
+    """\b
+Examples:
+  giajax track run.csv --model giajax-out/run --out tracked
+                            by the arm of a fit, in still air
+  giajax track run.csv --model giajax-out/run --wind 0,0.2,0 --out tracked
+                            in an unknown wind with gusts, rather across
+  giajax track run.csv --latency 0.5 --bias position_m=0.05 --out tracked
+                            what a controller knows of a late, shifted picture
+  giajax track run.csv --model my_arm.toml \\
+      --uncertain air.drag_coefficient=0.1 --out tracked
+                            with a drag that is 0.1 uncertain
+
+\b
+MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
+states an arm; without it the sidecar's is taken. The errors of a fit count as
+uncertainty of its parameters. Writes estimate.csv, a run of the smoothed
+states, bands.csv with the deviations of each, track.json, track.png and
+track.html (with the extra report).""",
+    group="plan",
+)
+def track(
+    run: Annotated[Path, argument("RUN.csv", "A run with commands and measurements.")],
+    out: Annotated[Path, "DIR", "Folder for the files."],
+    model: Annotated[Path | None, "MODEL", "The arm; see below."] = None,
+    mean: Annotated[
+        str | None,
+        "X,Y,Z",
+        "Track a wind; its rough mean flow, m/s. [known or still air]",
+        "--wind",
+    ] = None,
+    gusts: Annotated[str, "I:L", "Intensity and length scale (m) of its gusts."] = "0.3:5",
+    coherence: Annotated[float, "DECAY", "Decay of the coherence of gusts over distances."] = 12.0,
+    places: Annotated[
+        int | None, "N", "Places of gusts along the arm. [one for each 2.5 m]", 1
+    ] = None,
+    bias: Annotated[
+        Texts, "KEY=SD", "Track a constant bias, as position_m=0.05 or tip_x_m=0.05."
+    ] = None,
+    uncertain: Annotated[
+        Texts, "PATH=SD", "A parameter is so uncertain, and not estimated. [the errors of the fit]"
+    ] = None,
+    torque: Annotated[
+        float | None, "N_M", "Unmodelled torque of a joint, white, N m root(s). [by stiffness]"
+    ] = None,
+    latency: Annotated[float, "S", "After its stamp a measurement is there; see bands.csv."] = 0.0,
+    gate: Annotated[float, "SD", "A measurement that is farther off does not count."] = 5.0,
+    no_judge: Annotated[bool, "Do not look for what is wrong."] = False,
+    channels: OnlyChannels = None,
+    rename: Renamed = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    force: Force = False,
+) -> None:
+    """Track a recorded arm: its states with bands, filtered, smoothed, and as known in time.
+
+    A square-root extended Kalman filter and a smoother over angles, rates, what joints remember,
+    lagging drives, biases, mean wind and gusts, by the arm's own equation of motion.
+    """
+    from ..recordings import (
+        check_output_folder,
+        observing,
+        parse_rename,
+        read_run,
+        stored_result,
+        write_run,
+    )
+
+    check_quiet(quiet, written=out, as_json=as_json, by="--out DIR or --json")
+    names = [_FACTS, _PICTURE, _BANDS, _RUN, _RUN.replace(".csv", ".toml"), _PAGE]
+    check_output_folder(out, names, force=force)
+    parts, length_scale = gust_numbers(gusts)
+    flow = None if mean is None else velocity(mean, "--wind")
+    if model is not None and is_result(model):
+        stored_result(model)
+    recorded = read_run(run, definition=definition_of(model), rename=parse_rename(rename or []))
+    if channels:
+        recorded = observing(recorded, channels)
+    configure()
+    from ..apps.tracking import (
+        Unknown,
+        band_columns,
+        estimate_columns,
+        estimate_definition,
+        judge,
+        track as tracked,
+        track_facts,
+        track_figure,
+    )
+    from ..fitting import load_result
+    from ..report import study_page, to_png
+
+    fitted = model is not None and is_result(model)
+    source: Any = load_result(model) if fitted and model else model_of(model, [recorded])
+    unknown = Unknown(
+        air=None if flow is None else _air(source, flow, parts, length_scale, coherence, places),
+        biases=_biases(recorded, bias),
+        considered=_numbers(uncertain, "--uncertain"),
+        torque=torque,
+    )
+    say = say_progress(quiet)
+    found = tracked(source, recorded, unknown=unknown, latency=latency, gate=gate, progress=say)
+    verdict = judge(source, found, progress=say, look=not no_judge)
+    facts = track_facts(found, verdict)
+    text = json.dumps(facts, indent=2, allow_nan=False)
+    picture = to_png(track_figure(found))
+    contents = {
+        _FACTS: f"{text}\n".encode(),
+        _PICTURE: picture,
+        _BANDS: _table(band_columns(found)),
+    }
+    page = _page(found, verdict, picture, study_page)
+    if page is not None:
+        contents[_PAGE] = page
+    write_folder(out, contents, force=force)
+    how: dict[str, Any] = {"definition": estimate_definition(found), "force": force}
+    write_run(out / _RUN, found.times, estimate_columns(found), **how)
+    if as_json:
+        typer.echo(text)
+    elif not quiet:
+        _show(found, verdict)
+        say_written(out, [*contents, _RUN])
+        if page is None:
+            typer.echo("note: track.html needs the extra report")
+
+
+def _air(
+    source: Any,
+    flow: list[float],
+    parts: list[float],
+    length_scale: float,
+    coherence: float,
+    places: int | None,
+) -> "Air":
+    from ..apps.tracking import Air, arm_model, usual_places
+    from ..apps.wind import first_guess
+
+    arm: ArmModel = arm_model(source)
+    wind = first_guess(flow, parts if len(parts) == 3 else parts[0], length_scale, coherence)
+    many = usual_places(arm) if places is None else places
+    return Air(wind, mean_deviation=0.5 * wind.speed, places=many)
+
+
+def _biases(run: "Run", given: list[str] | None) -> "tuple[Bias, ...]":
+    """Positions and pixels of one axis are shifted alike; each other channel by itself."""
+    from ..apps.tracking import Bias
+
+    section = noise_section(given, "--bias", positive=True)
+    axes: dict[Any, list[str]] = {}
+    for name, size in deviations(section, "--bias", [*run.observations]).items():
+        channel = run.channels[name]
+        shared = channel.quantity in ("length", "pixel")
+        axes.setdefault(
+            (size, *((channel.camera, channel.component) if shared else (name,))), []
+        ).append(name)
+    return tuple(Bias(tuple(names), key[0]) for key, names in axes.items())
+
+
+def _numbers(given: list[str] | None, option: str) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for path, value in plain_settings(given, option).items():
+        if not isinstance(value, float) or not value > 0:
+            raise InputError(f"{option} {path}: give one positive number, a standard deviation")
+        found[path] = value
+    return found
+
+
+def _table(columns: "Mapping[str, Any]") -> bytes:
+    import numpy as np
+
+    text = io.StringIO()
+    table = np.stack(list(columns.values()), axis=1)
+    np.savetxt(text, table, fmt="%.8g", delimiter=",", header=",".join(columns), comments="")
+    return text.getvalue().encode()
+
+
+def _page(found: "Track", verdict: "TrackVerdict", picture: bytes, page: Any) -> bytes | None:
+    from ..apps.tracking import track_sections
+    from ..report import check_page
+
+    try:
+        check_page()
+    except InputError:
+        return None
+    tables, words = track_sections(found, verdict)
+    whole: bytes = page(
+        title=f"{found.run.name}: tracked",
+        kind="giajax track",
+        grade="good" if verdict.adequate else "doubtful",
+        headline=verdict.sentence[:1].upper() + verdict.sentence[1:],
+        notes=words,
+        tables=tables,
+        pictures=[
+            (
+                "Over time",
+                picture,
+                "The tip, the wind and the innovations; bands are 95 %. Innovations of a right "
+                "model are within the dotted lines in 95 % of cases.",
+            )
+        ],
+    )
+    return whole
+
+
+def _show(found: "Track", verdict: "TrackVerdict") -> None:
+    from ..apps.tracking import TRACK_HEADINGS, track_notes, track_rows
+
+    typer.echo(f"{verdict.sentence}\n")
+    print_table(TRACK_HEADINGS, track_rows(found))
+    typer.echo(
+        f"\n{len(found.times)} times, {found.arm.size} states, "
+        f"{1e3 * found.seconds:.2g} ms for each; NIS {verdict.nis:.3f} "
+        f"(1 within {4 * verdict.nis_error:.3f})"
+    )
+    for note in track_notes(found, verdict):
+        typer.echo(f"note: {note}")
