@@ -31,6 +31,7 @@ from ._record import (
 )
 from ._right_models import RIGHT_MODELS
 from ._shaping import SHAPING
+from ._tracking import TRACKING
 from ._study import Study as Study
 from ._suspects import SUSPECTS
 from ._sweep import SWEEP, SWEEP_SPEED
@@ -54,5 +55,6 @@ _ALL = (
     DESIGN,
     MISSIONS,
     SHAPING,
+    TRACKING,
 )
 STUDIES = {study.name: study for study in _ALL}

@@ -464,9 +464,16 @@ Fixed = tuple[Array, Array, bool]
 
 
 def begun_at(
-    model: ArmModel, run: Run, noise: Mapping[str, float], unknown: Unknown, gate: float
+    model: ArmModel,
+    run: Run,
+    noise: Mapping[str, float],
+    unknown: Unknown,
+    gate: float,
+    start: Gaussian | None = None,
 ) -> tuple[TrackedArm, Plan, Gaussian, Fixed]:
     """What is tracked, its events, the start that explains the first ones best, and settings.
+
+    A `start` that is given is taken.
 
     Raises:
         InputError: a run that is too long for its states, or one that `planned` refuses.
@@ -491,6 +498,8 @@ def begun_at(
     considered = tracked.slices()["parameters"].start + np.arange(len(unknown.considered))
     estimated[considered] = False
     fixed = (jnp.asarray(estimated), jnp.asarray(gate, float), False)
+    if start is not None:
+        return tracked, plan, start, fixed
     first: Any = jax.tree.map(lambda leaf: leaf[0], plan.events.held)
     begins = starts(tracked, first, unknown, model.prepare(run).initial)
     return tracked, plan, chosen(tracked, plan, begins, fixed), fixed
