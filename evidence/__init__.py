@@ -31,10 +31,10 @@ from ._record import (
 )
 from ._right_models import RIGHT_MODELS
 from ._shaping import SHAPING
-from ._tracking import TRACKING
 from ._study import Study as Study
 from ._suspects import SUSPECTS
 from ._sweep import SWEEP, SWEEP_SPEED
+from ._tracking import TRACKING
 
 _ALL = (
     COVERAGE,

@@ -174,6 +174,9 @@ class DelayedFilter(Generic[Kept]):
         del self._clones[: max(bisect.bisect_right(times, old) - 1, 0)]
 
 
+_SHORT = 1e-9  # s
+
+
 class _Initial(NamedTuple):
     angle: np.ndarray
     rate: np.ndarray
@@ -331,7 +334,8 @@ class Tracker:
         knots, rows = np.array(self._knots), np.stack(self._commands)
         edges = np.array([begin, end])
         command = np.stack([np.interp(edges, knots, column) for column in rows.T], axis=1)
-        given = (begin, end - begin, command, np.zeros((2, self._width)))
+        # Of two measurements of one time the second has no interval, by which slopes are divided.
+        given = (begin, max(end - begin, _SHORT), command, np.zeros((2, self._width)))
         return Held(*(jnp.asarray(each, float) for each in given))
 
 
