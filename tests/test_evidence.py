@@ -180,6 +180,21 @@ def test_shaped_commands_leave_little_swing():
             assert np.all(right < 0.3 * np.asarray(rows["unshaped"]["right"])), (duration, name)
 
 
+@pytest.mark.quick
+def test_a_tracked_arm_is_where_it_is_said_to_be():
+    """Tip within 0.10 m and the wind across within 0.05 m/s, with deviations that are right."""
+    size, figures = figures_of("tracking")
+    arms = figures["arms"]
+    assert figures["links"] == 20
+    assert len(arms) == size
+    assert any(arm["memory"] for arm in arms)
+    for arm in arms:
+        assert max(arm["tip_m"], arm["tip_smoothed_m"], arm["tip_in_time_m"]) < 0.10
+        assert arm["wind_across_m_per_s"] < 0.05
+        assert arm["gusts_called"]
+        assert not arm["still_adequate"]
+
+
 def is_within(one):
     return abs(one["value"] - one["truth"]) < 3 * one["error"]
 

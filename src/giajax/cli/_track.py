@@ -74,8 +74,12 @@ def track(
         "Track a wind; its rough mean flow, m/s. [known or still air]",
         "--wind",
     ] = None,
-    gusts: Annotated[str, "I:L", "Intensity and length scale (m) of its gusts."] = "0.3:5",
-    coherence: Annotated[float, "DECAY", "Decay of the coherence of gusts over distances."] = 12.0,
+    gusts: Annotated[
+        str | None, "I:L", "Intensity and length scale (m) of its gusts. [0.3:5]"
+    ] = None,
+    coherence: Annotated[
+        float | None, "DECAY", "Decay of the coherence of gusts over distances. [12]"
+    ] = None,
     places: Annotated[
         int | None, "N", "Places of gusts along the arm. [one for each 2.5 m]", 1
     ] = None,
@@ -83,12 +87,14 @@ def track(
         Texts, "KEY=SD", "Track a constant bias, as position_m=0.05 or tip_x_m=0.05."
     ] = None,
     uncertain: Annotated[
-        Texts, "PATH=SD", "A parameter is so uncertain, and not estimated. [the errors of the fit]"
+        Texts,
+        "PATH=SD",
+        "Deviation of a parameter, not estimated. [the errors of the fit, all of them]",
     ] = None,
     torque: Annotated[
         float | None, "N_M", "Unmodelled torque of a joint, white, N m root(s). [by stiffness]"
     ] = None,
-    latency: Annotated[float, "S", "After its stamp a measurement is there; see bands.csv."] = 0.0,
+    latency: Annotated[float, "S", "From a stamp until its measurement arrives."] = 0.0,
     gate: Annotated[float, "SD", "A measurement that is farther off does not count."] = 5.0,
     no_judge: Annotated[bool, "Do not look for what is wrong."] = False,
     channels: OnlyChannels = None,
@@ -97,7 +103,7 @@ def track(
     quiet: Quiet = False,
     force: Force = False,
 ) -> None:
-    """Track a recorded arm: its states with bands, filtered, smoothed, and as known in time.
+    """Estimate where a recorded arm was, and the air, with bands.
 
     A square-root extended Kalman filter and a smoother over angles, rates, what joints remember,
     lagging drives, biases, mean wind and gusts, by the arm's own equation of motion.
@@ -114,7 +120,9 @@ def track(
     check_quiet(quiet, written=out, as_json=as_json, by="--out DIR or --json")
     names = [_FACTS, _PICTURE, _BANDS, _RUN, _RUN.replace(".csv", ".toml"), _PAGE]
     check_output_folder(out, names, force=force)
-    parts, length_scale = gust_numbers(gusts)
+    parts, length_scale = gust_numbers(gusts or "0.3:5")
+    if mean is None and any(each is not None for each in (gusts, coherence, places)):
+        raise InputError("--gusts, --coherence and --places are of a wind: give --wind, too")
     flow = None if mean is None else velocity(mean, "--wind")
     if model is not None and is_result(model):
         stored_result(model)
@@ -131,6 +139,7 @@ def track(
         track as tracked,
         track_facts,
         track_figure,
+        unseen,
     )
     from ..fitting import load_result
     from ..report import study_page, to_png
@@ -138,15 +147,20 @@ def track(
     fitted = model is not None and is_result(model)
     source: Any = load_result(model) if fitted and model else model_of(model, [recorded])
     unknown = Unknown(
-        air=None if flow is None else _air(source, flow, parts, length_scale, coherence, places),
+        air=None
+        if flow is None
+        else _air(
+            source, flow, parts, length_scale, 12.0 if coherence is None else coherence, places
+        ),
         biases=_biases(recorded, bias),
         considered=_numbers(uncertain, "--uncertain"),
         torque=torque,
     )
     say = say_progress(quiet)
+    hidden = unseen(source, recorded, unknown=unknown)
     found = tracked(source, recorded, unknown=unknown, latency=latency, gate=gate, progress=say)
     verdict = judge(source, found, progress=say, look=not no_judge)
-    facts = track_facts(found, verdict)
+    facts = track_facts(found, verdict, hidden)
     text = json.dumps(facts, indent=2, allow_nan=False)
     picture = to_png(track_figure(found))
     contents = {
@@ -154,7 +168,7 @@ def track(
         _PICTURE: picture,
         _BANDS: _table(band_columns(found)),
     }
-    page = _page(found, verdict, picture, study_page)
+    page = _page(found, verdict, hidden, picture, study_page)
     if page is not None:
         contents[_PAGE] = page
     write_folder(out, contents, force=force)
@@ -163,7 +177,7 @@ def track(
     if as_json:
         typer.echo(text)
     elif not quiet:
-        _show(found, verdict)
+        _show(found, verdict, hidden)
         say_written(out, [*contents, _RUN])
         if page is None:
             typer.echo("note: track.html needs the extra report")
@@ -219,7 +233,9 @@ def _table(columns: "Mapping[str, Any]") -> bytes:
     return text.getvalue().encode()
 
 
-def _page(found: "Track", verdict: "TrackVerdict", picture: bytes, page: Any) -> bytes | None:
+def _page(
+    found: "Track", verdict: "TrackVerdict", hidden: Any, picture: bytes, page: Any
+) -> bytes | None:
     from ..apps.tracking import track_sections
     from ..report import check_page
 
@@ -227,7 +243,7 @@ def _page(found: "Track", verdict: "TrackVerdict", picture: bytes, page: Any) ->
         check_page()
     except InputError:
         return None
-    tables, words = track_sections(found, verdict)
+    tables, words = track_sections(found, verdict, hidden)
     whole: bytes = page(
         title=f"{found.run.name}: tracked",
         kind="giajax track",
@@ -247,7 +263,7 @@ def _page(found: "Track", verdict: "TrackVerdict", picture: bytes, page: Any) ->
     return whole
 
 
-def _show(found: "Track", verdict: "TrackVerdict") -> None:
+def _show(found: "Track", verdict: "TrackVerdict", hidden: Any) -> None:
     from ..apps.tracking import TRACK_HEADINGS, track_notes, track_rows
 
     typer.echo(f"{verdict.sentence}\n")
@@ -257,5 +273,5 @@ def _show(found: "Track", verdict: "TrackVerdict") -> None:
         f"{1e3 * found.seconds:.2g} ms for each; NIS {verdict.nis:.3f} "
         f"(1 within {4 * verdict.nis_error:.3f})"
     )
-    for note in track_notes(found, verdict):
+    for note in track_notes(found, verdict, hidden):
         typer.echo(f"note: {note}")

@@ -50,6 +50,6 @@ from ._verdict import (
     Cause as Cause,
     TrackVerdict as TrackVerdict,
     judge as judge,
-    unseen_states as unseen_states,
+    unseen as unseen,
     usual_places as usual_places,
 )

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ...fitting import Tie, resolved_ties, tied
 from ...mechanics.arm import link_centres, mass_matrix
 from ...models import ArmModel, recorded_channels
 from ...recordings import Channel
@@ -22,7 +23,6 @@ from ..wind import Turbulence
 
 _DRIVE = ("drive_gain", "drive_lag", "drive_saturation")
 _DELAYS = (CAMERA.delay.path, ENCODER.delay.path)
-_QUIET = 2.0  # times its length scale between two places of a gust
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Bias:
     """What is added to channels by their sensor, and changes slowly.
 
     Attributes:
-        channels: that have it, each of which is one of its own where it is not `shared`.
+        channels: that have it, all of them the same.
         deviation: SI.
         lasting: s; infinite of what is constant.
     """
@@ -95,6 +95,10 @@ class _Gusts(eqx.Module):
     def places(self) -> int:
         return self.along.shape[1]
 
+    def roots(self) -> np.ndarray:
+        """Root of the covariance of gusts in the order of their states."""
+        return np.asarray(jax.scipy.linalg.block_diag(*self.root))
+
     def of_links(self, mean: Array, gusts: Array) -> Array:
         """Velocities by mean flow and gusts (direction, place), flat."""
         local = self.frame @ gusts + mean[:, None]
@@ -116,6 +120,7 @@ class TrackedArm(eqx.Module):
         torque: unmodelled torque of each joint, as white noise, N m root(s).
         bias_of: which channels a bias is added to, shape (channel, bias).
         bias_lasting, bias_deviation: s and SI.
+        ties: of parameters that follow from others.
         late: nominal delays of `camera.delay` and `encoder.delay`, s, which measurements already
             have.
     """
@@ -131,6 +136,7 @@ class TrackedArm(eqx.Module):
     bias_lasting: Float[Array, " bias"]
     bias_deviation: Float[Array, " bias"]
     late: Float[Array, "2"]
+    ties: tuple[Tie, ...] = eqx.field(static=True, default=())
 
     # --- where things are ---
 
@@ -179,6 +185,12 @@ class TrackedArm(eqx.Module):
         )
         return begun.state
 
+    def followed(self, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What drives have reached of a command that rests, and what springs are pulled to, rad."""
+        gain = self.model.arm.joints.drive_gain
+        reached = command if gain is None else command * np.asarray(gain)
+        return reached, np.asarray(_saturated(self.model.arm.joints, jnp.asarray(reached)))
+
     def arm_state(self, vector: Array) -> Array:
         """Angles, rates and so on, shape (row, joint)."""
         return vector[self.slices()["arm"]].reshape(self.rows, self.joints)
@@ -197,7 +209,7 @@ class TrackedArm(eqx.Module):
         known = {
             path: values[index] for index, path in enumerate(self.paths) if path not in _DELAYS
         }
-        return replace(self.model, known) if known else self.model
+        return tied(replace(self.model, known), self.ties) if known else self.model
 
     # --- how it moves ---
 
@@ -246,8 +258,7 @@ class TrackedArm(eqx.Module):
             reached = command[1] - lag * slope + (drive - command[0] + lag * slope) * left
             command = jnp.stack([drive, reached])
             drive = reached
-        if joints.drive_saturation is not None:
-            command = command / jnp.sqrt(1 + joints.drive_saturation * command**2)
+        command = _saturated(joints, command)
         flow, gusts = vector[where["mean flow"]], vector[where["gusts"]]
         wind = held.wind
         if self.gusts is not None:
@@ -308,16 +319,17 @@ class TrackedArm(eqx.Module):
         """The arm at the end of an interval, as a motion of one sample."""
         model = self.with_parameters(vector) if model is None else model
         state, wind = self.arm_state(vector), self.wind(vector)
-        known = held.wind[1]
+        flow = held.wind[1]
         if wind is not None:
-            known = jnp.tile(known, self.joints) if known.shape == (3,) else known
-            flow = known + wind.ravel()
-        else:
-            flow = known
-        drive = vector[self.slices()["drive"]]
-        command = drive if drive.size else held.command[1]
-        without: Any = dict.fromkeys(_DRIVE if drive.size else ())
-        joints = dataclasses.replace(model.arm.joints, **without)
+            flow = jnp.tile(flow, self.joints) if flow.shape == (3,) else flow
+            flow = flow + wind.ravel()
+        joints, drive = model.arm.joints, vector[self.slices()["drive"]]
+        if not drive.size:
+            gain = 1.0 if joints.drive_gain is None else joints.drive_gain
+            drive = held.command[1] * gain
+        command = _saturated(joints, drive)
+        without: Any = dict.fromkeys(_DRIVE)
+        joints = dataclasses.replace(joints, **without)
         memory = state[2:]
         return Trajectory(
             times=(held.time + held.length)[None],
@@ -332,6 +344,14 @@ class TrackedArm(eqx.Module):
             result=RESULTS.successful,  # type: ignore[arg-type]
             steps=jnp.zeros(2, dtype=int),
         )
+
+
+def _saturated(joints: Any, angle: Array) -> Array:
+    """What drives that saturate make of an angle, rad."""
+    saturation = joints.drive_saturation
+    if saturation is None:
+        return angle
+    return angle / jnp.sqrt(1 + jnp.broadcast_to(saturation, angle.shape) * angle**2)
 
 
 def constant_signal(value: Array) -> Any:
@@ -351,9 +371,11 @@ def _earlier(motion: Trajectory, by: Scalar) -> Trajectory:
 
 
 def delay_path(name: str) -> str:
-    """The path of the delay that a channel has."""
-    quantity = Channel.named(name).quantity
-    return _DELAYS[0] if quantity in ("length", "pixel") else _DELAYS[1]
+    """The path of the delay that a channel has; empty where it has one of its own, or none."""
+    channel = Channel.named(name)
+    if channel.quantity in ("length", "pixel"):
+        return _DELAYS[0]
+    return _DELAYS[1] if channel.kind in ("joint_angle", "joint_rate", "link_angle") else ""
 
 
 def tracked_arm(
@@ -365,6 +387,7 @@ def tracked_arm(
     biases: Sequence[Bias] = (),
     paths: Sequence[str] = (),
     torque: float,
+    ties: Mapping[str, str] | None = None,
 ) -> TrackedArm:
     """What is unknown of an arm whose channels are measured.
 
@@ -376,10 +399,20 @@ def tracked_arm(
         biases: of sensors.
         paths: of parameters that are uncertain, each a single number.
         torque: unmodelled torque of each joint, as white noise, N m root(s).
+        ties: of parameters that follow from others, as of a fit.
 
     Raises:
-        InputError: a clock rate, or a parameter that has several numbers.
+        InputError: a clock rate, a parameter that has several numbers, a channel of a link that
+            the arm does not have, or an arm among obstacles.
     """
+    if model.arm.contact is not None:
+        raise InputError("the arm has obstacles, which it is not tracked among: leave them out")
+    for name in channels:
+        if (Channel.named(name).index or 0) > model.arm.count and "mark" not in name:
+            raise InputError(
+                f"{name} is measured, but the arm has {model.arm.count} links: leave it out, or "
+                "give a longer arm"
+            )
     sensors = model.sensors
     for path, rate in (
         (CAMERA.clock_rate.path, sensors.camera.clock_rate),
@@ -409,6 +442,7 @@ def tracked_arm(
         bias_lasting=jnp.asarray(lasting, float),
         bias_deviation=jnp.asarray(deviations, float),
         late=jnp.asarray(late, float),
+        ties=resolved_ties(model, ties or {}) if paths else (),
     )
 
 

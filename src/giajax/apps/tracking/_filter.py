@@ -74,12 +74,14 @@ class Innovation(NamedTuple):
     Attributes:
         off: measured minus expected, 0 of what was not measured, shape (channel,).
         deviations: expected of that, shape (channel,).
-        whitened: independent of each other and of deviation 1, 0 of what was not measured.
-        log_likelihood: of those that were measured.
+        nis: square of all that was measured, over what is expected; outliers count.
+        whitened: what was used, as numbers that are independent and of deviation 1; 0 of the rest.
+        log_likelihood: of what was used.
     """
 
     off: Float[Array, " channel"]
     deviations: Float[Array, " channel"]
+    nis: Float[Array, ""]
     whitened: Float[Array, " channel"]
     log_likelihood: Float[Array, ""]
 
@@ -105,31 +107,35 @@ def measured(
         used: what of that counts for the state; the innovation is of all that is there.
         estimated: states that a measurement changes; the others are considered.
     """
-    known = jnp.where(there, off, 0)
-    innovation = _innovation(before.root, known, slope, noise, there)
     used = used & there
-    slope, known = jnp.where(used[:, None], slope, 0), jnp.where(used, off, 0)
-    noise = jnp.where(used, noise, 1)
-    seen = slope @ before.root
-    expected = root_of_sum(seen, jnp.diag(noise))
-    across = jax.scipy.linalg.solve_triangular(expected, seen, lower=True)
-    gain = jax.scipy.linalg.solve_triangular(expected.T, across, lower=False).T
+    known = jnp.where(there, off, 0)
+    _, _, factor = _expected(before.root, slope, noise, there)
+    deviations = jnp.sqrt(jnp.sum(factor**2, axis=1))
+    nis = jnp.sum(jax.scipy.linalg.solve_triangular(factor, known, lower=True) ** 2)
+    known = jnp.where(used, off, 0)
+    seen, noise, factor = _expected(before.root, slope, noise, used)
+    across = jax.scipy.linalg.solve_triangular(factor, seen, lower=True)
+    gain = jax.scipy.linalg.solve_triangular(factor.T, across, lower=False).T
     gain = jnp.where(estimated[:, None], before.root @ gain, 0)
     # Joseph's form, which is right for every gain.
-    left = before.root - gain @ seen
-    root = root_of_sum(left, gain * noise[None])
+    root = root_of_sum(before.root - gain @ seen, gain * noise[None])
+    whitened = jax.scipy.linalg.solve_triangular(factor, known, lower=True)
+    size = jnp.sum(jnp.log(jnp.abs(jnp.diag(factor))))
+    count = jnp.sum(used, dtype=off.dtype)
+    likelihood = -0.5 * (jnp.sum(whitened**2) + count * math.log(2 * math.pi)) - size
+    innovation = Innovation(jnp.where(there, off, 0), deviations, nis, whitened, likelihood)
     return Gaussian(before.mean + gain @ known, root), innovation
 
 
-def _innovation(root: Array, off: Array, slope: Array, noise: Array, there: Array) -> Innovation:
-    slope, noise = jnp.where(there[:, None], slope, 0), jnp.where(there, noise, 1)
-    expected = root_of_sum(slope @ root, jnp.diag(noise))
-    whitened = jax.scipy.linalg.solve_triangular(expected, off, lower=True)
-    size = jnp.sum(jnp.log(jnp.abs(jnp.diag(expected))))
-    count = jnp.sum(there, dtype=off.dtype)
-    likelihood = -0.5 * (jnp.sum(whitened**2) + count * math.log(2 * math.pi)) - size
-    deviations = jnp.sqrt(jnp.sum(expected**2, axis=1))
-    return Innovation(off, deviations, whitened, likelihood)
+def _expected(root: Array, slope: Array, noise: Array, these: Array) -> tuple[Array, Array, Array]:
+    """Root of what the state adds to these channels, their noise, and a root of their sum."""
+    seen = jnp.where(these[:, None], slope, 0) @ root
+    noise = jnp.where(these, noise, 1)
+    return seen, noise, root_of_sum(seen, jnp.diag(noise))
+
+
+# Of a state that is certain, so that its covariance has an inverse: over its deviation, and least.
+_FLOOR, _LEAST = 1e-10, 1e-14
 
 
 def smoothed(
@@ -147,7 +153,8 @@ def smoothed(
         after: the state after that motion, by everything.
     """
     through = slope @ before.root
-    expected = root_of_sum(through, noise)
+    size = jnp.sqrt(jnp.sum(through**2, axis=1) + jnp.sum(noise**2, axis=1))
+    expected = root_of_sum(through, noise, jnp.diag(_FLOOR * size + _LEAST))
     across = jax.scipy.linalg.solve_triangular(expected, through, lower=True)
     gain = before.root @ jax.scipy.linalg.solve_triangular(expected.T, across, lower=False).T
     left = before.root - gain @ through

@@ -1,14 +1,20 @@
 """A track as pictures, tables, plain data, a page and a run."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from ...report import BLUE, GREY, VERMILLION, Table, new_figure, plain
+from ...schema import CommandSection
 from ._track import States, Track
-from ._verdict import TrackVerdict, unseen_states
+from ._verdict import TrackVerdict
 
+Hidden = Sequence[tuple[str, float, float]]
+"""States that the channels hardly show, as of `unseen`."""
+
+_NAMED = 6
 _BAND = 1.96  # deviations: 95 %
 
 
@@ -59,13 +65,21 @@ def _band(axes: Any, times: Any, mean: Any, spread: Any, colour: str, label: str
 
 
 def estimate_columns(found: Track) -> dict[str, np.ndarray]:
-    """The smoothed states as columns of a run: commands, angles, rates, tip and wind, SI."""
+    """The smoothed states as columns of a run: commands, wind, angles, rates and tip, SI.
+
+    A wind that was tracked is the mean over the links.
+    """
     states, joints = found.smoothed, range(found.arm.joints)
-    commands = {
-        name: np.interp(found.times, np.asarray(found.run.times), column)
-        for name, column in found.run.commands.items()
+    stamps, run = np.asarray(found.run.times), found.run
+    held = run.definition.section(CommandSection).interpolation == "zoh"
+    at = np.maximum(np.searchsorted(stamps, found.times, side="right") - 1, 0)
+    columns = {
+        name: column[at] if held else np.interp(found.times, stamps, column)
+        for name, column in run.commands.items()
     }
-    columns = dict(commands)
+    columns |= {name: np.interp(found.times, stamps, run.values[name]) for name in run.winds}
+    if states.wind is not None:
+        columns |= {f"wind_{axis}": states.wind[:, k] for k, axis in enumerate("xyz")}
     columns |= {f"joint{k + 1:02d}_angle": states.angles[:, k] for k in joints}
     columns |= {f"joint{k + 1:02d}_rate": states.rates[:, k] for k in joints}
     columns |= {f"tip_{axis}": states.tip[:, k] for k, axis in enumerate("xyz")}
@@ -76,7 +90,14 @@ def estimate_definition(found: Track) -> dict[str, Any]:
     """What the sidecar of the smoothed states says: the arm, and that it starts as they do."""
     arm = found.arm.model.definition()["arm"]
     origin = f"giajax track of {found.run.name}"
-    return {"model": "arm", "origin": origin, "arm": arm, "initial": {"first_row": True}}
+    held = found.run.definition.section(CommandSection).interpolation
+    return {
+        "model": "arm",
+        "origin": origin,
+        "arm": arm,
+        "initial": {"first_row": True},
+        "command": {"interpolation": held},
+    }
 
 
 def band_columns(found: Track) -> dict[str, np.ndarray]:
@@ -133,7 +154,7 @@ def track_rows(found: Track) -> list[tuple[Any, ...]]:
     return rows
 
 
-def track_facts(found: Track, verdict: TrackVerdict) -> dict[str, Any]:
+def track_facts(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> dict[str, Any]:
     """What was found as plain data."""
     return {
         "run": found.run.name,
@@ -152,6 +173,7 @@ def track_facts(found: Track, verdict: TrackVerdict) -> dict[str, Any]:
             "adequate": verdict.adequate,
             "sentence": verdict.sentence,
             "nis": verdict.nis,
+            "nis_with_outliers": float(np.sum(found.nis) / np.sum(found.there)),
             "nis_error": verdict.nis_error,
             "correlation": verdict.correlation,
             "left_out": verdict.left_out,
@@ -166,23 +188,23 @@ def track_facts(found: Track, verdict: TrackVerdict) -> dict[str, Any]:
             for row in track_rows(found)
         ],
         "hardly_seen": [
-            {"state": name, "before": before, "after": after}
-            for name, before, after in unseen_states(found)
+            {"state": name, "before": before, "after": after} for name, before, after in hidden
         ],
     }
 
 
-def track_notes(found: Track, verdict: TrackVerdict) -> list[str]:
+def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> list[str]:
     """Sentences on what a reader should know."""
     notes = [
         f"{cause.name}: log-likelihood +{cause.gain:.3g}; {cause.advice}"
         for cause in verdict.causes[1:]
     ]
-    if hidden := [name for name, _, _ in unseen_states(found)]:
+    if hidden:
+        names = [name for name, _, _ in hidden]
         notes.append(
-            f"these channels hardly show {', '.join(hidden[:6])}"
-            + (f" and {len(hidden) - 6} more" if len(hidden) > 6 else "")
-            + ": they are about as uncertain at the end as before"
+            f"these channels hardly show {', '.join(names[:_NAMED])}"
+            + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+            + ": they stay about as uncertain as they were"
         )
     if verdict.left_out > 0:
         notes.append(f"{verdict.left_out:.2%} of the measurements were outliers and did not count")
@@ -196,7 +218,7 @@ def track_notes(found: Track, verdict: TrackVerdict) -> list[str]:
 
 
 def track_sections(
-    found: Track, verdict: TrackVerdict
+    found: Track, verdict: TrackVerdict, hidden: Hidden = ()
 ) -> tuple[list[tuple[str, Table, str]], list[str]]:
     """Tables of a page, each with a heading and a note, and the sentences under its verdict."""
     rows = [[_text(cell) for cell in row] for row in track_rows(found)]
@@ -214,7 +236,7 @@ def track_sections(
         ("States", states, "Deviations are standard deviations of the filter's last state."),
         ("Innovations", sound, "Measured minus expected, over what is expected of that."),
     ]
-    return tables, track_notes(found, verdict)
+    return tables, track_notes(found, verdict, hidden)
 
 
 def _text(cell: Any) -> str:

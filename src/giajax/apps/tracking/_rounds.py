@@ -1,5 +1,6 @@
 """The filter and the smoother over events, of whatever moves and is measured."""
 
+import math
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -67,7 +68,7 @@ _IN_A_ROW = 5  # of outliers; what goes on after that is no outlier, and the sta
 
 @program
 def filtered(
-    system: System, start: Followed, events: Events, estimated: Array, gate: Array, blind: bool
+    system: System, start: Followed, events: Events, estimated: Array, gate: Array, blind: Array
 ) -> Filtered:
     """The filter over all events; `blind`: as if each measured value were the expected one."""
 
@@ -82,23 +83,27 @@ def followed_by(
     system: System, before: Followed, event: Events, estimated: Array, gate: Array
 ) -> tuple[Followed, Filtered]:
     """The filter over one event."""
-    return _one(system, before, event, estimated, gate, blind=False)
+    return _one(system, before, event, estimated, gate, jnp.asarray(False))
 
 
 def _one(
-    system: System, before: Followed, event: Events, estimated: Array, gate: Array, blind: bool
+    system: System, before: Followed, event: Events, estimated: Array, gate: Array, blind: Array
 ) -> tuple[Followed, Filtered]:
     state, left_out = before
     mean, slope, noise = system.moved(state.mean, event.held)
     state = moved(state, mean, slope, noise)
     shown, slope = system.shown(state.mean, event.held)
-    off = jnp.zeros_like(shown) if blind else event.values - shown
+    off = jnp.where(blind, 0, event.values - shown)
     expected = jnp.sqrt(jnp.sum((slope @ state.root) ** 2, axis=1) + system.noise**2)
     near = jnp.abs(off) <= gate * expected
     used = event.there & (near | (left_out >= _IN_A_ROW))
     state, innovation = measured(
         state, off, slope, system.noise, there=event.there, used=used, estimated=estimated
     )
+    # An outlier is as likely as one at the gate, so that nothing is gained by leaving more out.
+    outside = -0.5 * gate**2 - jnp.log(expected) - 0.5 * math.log(2 * math.pi)
+    likelihood = jnp.sum(jnp.where(event.there & ~used, outside, 0))
+    innovation = innovation._replace(log_likelihood=innovation.log_likelihood + likelihood)
     left_out = jnp.where(event.there, jnp.where(near, 0, left_out + 1), left_out)
     return Followed(state, left_out), Filtered(state, innovation, used, left_out)
 

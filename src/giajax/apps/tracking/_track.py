@@ -14,12 +14,12 @@ from scipy.optimize import root
 from ...fitting import FitResult
 from ...mechanics.arm import Arm, acceleration, tip_position
 from ...models import AbstractModel, ArmModel, camera_of, clock_of
-from ...recordings import Run
+from ...recordings import Channel, Run
 from ...runtime.arrays import Array, Float
 from ...runtime.programs import program
 from ...runtime.text import InputError
-from ...schema import ARM
-from ...schema.parameters import find
+from ...schema import ARM, WindSection
+from ...schema.parameters import declared, find
 from ...simulation import Signal
 from ..design import known_before
 from ._arm import Air, Bias, Held, TrackedArm, tracked_arm
@@ -39,12 +39,13 @@ STIFFNESS_SHARE = 3e-4
 """Default of the unmodelled torque: this share of the mean stiffness, as white noise, root(s)."""
 
 _LONGEST = 0.1  # between two events, s
+SHORT = 1e-9  # the interval before the first event, s, by which slopes are divided
 _AHEAD = 0.25  # of an interval in which nothing is measured, s
-_DOUBLINGS = 13  # of such intervals an arm has stood at the start: 14 minutes
+_DOUBLINGS = 13  # of an interval of the filter, which an arm has stood at the start: 14 minutes
 # Events of one call, so that runs of every length have the same programs; after the first of them
 # the start is chosen that explains them best.
 _CHUNK = 200
-_MOST = 4e8  # numbers that are kept
+_MOST = 5e7  # numbers of one kind that are kept: 0.4 GB
 # Of the state at the start: of an arm that has come to rest, and of one that starts as stated.
 _AT_REST = np.deg2rad([1.0, 0.3])
 _STATED = np.deg2rad([2.0, 1.0])
@@ -62,6 +63,7 @@ class Unknown:
         correlation: between them; None: none.
         estimated: of those that are estimated, too.
         torque: unmodelled torque of each joint, as white noise, N m root(s); None: a default.
+        ties: expressions by the path of the parameter that follows from others, as of a fit.
     """
 
     air: Air | None = None
@@ -70,6 +72,7 @@ class Unknown:
     correlation: Float[np.ndarray, "path path"] | None = None
     estimated: Mapping[str, float] = dataclasses.field(default_factory=dict)
     torque: float | None = None
+    ties: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +83,7 @@ class States:
         angles, rates: of the joints, rad and rad/s, shape (time, joint).
         tip: m, shape (time, 3).
         wind: mean over the links of the wind that is unknown, m/s, shape (time, 3), or None.
-        parameters: estimated ones by path, SI.
+        parameters: uncertain ones by path, SI, considered or estimated.
         biases: SI, shape (time, bias).
         angle_deviations, rate_deviations, tip_deviations, wind_deviations, parameter_deviations,
             bias_deviations: their standard deviations, likewise.
@@ -113,12 +116,14 @@ class Track:
         times: s, shape (event,): of all exposures, and of times between two that are far apart.
         filtered: by what was measured until each time.
         smoothed: by the whole run.
-        now: what a controller would have known when a measurement came; None without a delay.
+        now: what the filter expects of the time at which a measurement comes, by what was exposed
+            until it was; None without a delay.
         now_times: of these, s.
         latency: after the stamp, s.
         there, used: which channels were measured, and which counted, shape (event, channel).
         off, expected: measured minus expected, and its expected deviation, SI.
-        whitened: that as independent numbers of deviation 1.
+        whitened: what counted of that, as independent numbers of deviation 1.
+        nis: of each event, the square of all that was measured over what is expected.
         log_likelihood: of the measurements of each event.
         noise: standard deviation of each channel, SI, by name.
         gate: as given.
@@ -140,6 +145,7 @@ class Track:
     off: np.ndarray
     expected: np.ndarray
     whitened: np.ndarray
+    nis: np.ndarray
     log_likelihood: np.ndarray
     noise: dict[str, float]
     gate: float
@@ -163,10 +169,11 @@ def arm_model(model: AbstractModel | FitResult) -> ArmModel:
 
 def considered_of(result: FitResult) -> tuple[dict[str, float], np.ndarray]:
     """Standard errors of the arm's parameters that a fit found, by path, and their correlation."""
+    of_arm = declared(arm_model(result).arm)
     paths = [
         path
         for path in result.free
-        if not path.startswith("initial.") and np.ndim(result.parameters[path].value) == 0
+        if path.partition("[")[0] in of_arm and np.ndim(result.parameters[path].value) == 0
     ]
     errors, correlation = known_before(result, paths)
     kept = [index for index, path in enumerate(paths) if path in errors]
@@ -175,7 +182,10 @@ def considered_of(result: FitResult) -> tuple[dict[str, float], np.ndarray]:
 
 def with_errors_of(model: AbstractModel | FitResult, unknown: Unknown) -> Unknown:
     """With the errors of a fit considered, where nothing else is."""
-    if not isinstance(model, FitResult) or unknown.considered:
+    if not isinstance(model, FitResult):
+        return unknown
+    unknown = dataclasses.replace(unknown, ties=unknown.ties or model.config.get("ties", {}))
+    if unknown.considered:
         return unknown
     errors, correlation = considered_of(model)
     kept = [k for k, path in enumerate(errors) if path not in unknown.estimated]
@@ -186,16 +196,17 @@ def with_errors_of(model: AbstractModel | FitResult, unknown: Unknown) -> Unknow
     )
 
 
-def delays_of(model: ArmModel, run: Run, channels: Sequence[str]) -> dict[str, float]:
+def delays_of(model: ArmModel, channels: Sequence[str]) -> dict[str, float]:
     """How late each channel shows the arm, s."""
     sensors, found = model.sensors, {}
     for name in channels:
-        channel = run.channels[name]
-        delay: Any = sensors.encoder.delay
+        channel = Channel.named(name)
         if channel.quantity == "pixel":
-            delay = clock_of(sensors, camera_of(sensors, channel))
-        elif channel.quantity == "length":
-            delay = sensors.camera.delay
+            delay: Any = clock_of(sensors, camera_of(sensors, channel))
+        else:
+            # As a prediction has it: what shows a row has the clock.
+            rows = sensors.rows({channel.kind})
+            delay = getattr(rows[channel.kind][1], "delay", None) if rows else None
         found[name] = 0.0 if delay is None else float(delay)
     return found
 
@@ -280,7 +291,7 @@ def planned(model: ArmModel, run: Run, channels: Sequence[str], *, unknown_air: 
             )
     inputs = model.prepare(run)
     assert run.times is not None
-    delays = delays_of(model, run, channels)
+    delays = delays_of(model, channels)
     table = np.stack([np.asarray(run.values[name], float) for name in channels], axis=1)
     rows: dict[float, np.ndarray] = {}
     for late in sorted(set(delays.values())):
@@ -288,15 +299,26 @@ def planned(model: ArmModel, run: Run, channels: Sequence[str], *, unknown_air: 
         for stamp, values in zip(run.times - late, table[:, columns], strict=True):
             row = rows.setdefault(round(float(stamp), 9), np.full(len(channels), np.nan))
             row[columns] = values
-    exposures = np.array(sorted(rows))
-    times = [exposures[0]]
-    for before, after in itertools.pairwise(exposures):
+    # The run says how the arm is at its first row; what was exposed before is of no use.
+    first = round(float(run.times[0]), 9)
+    exposures = np.array([first, *(each for each in sorted(rows) if each > first)])
+    if len(exposures) < 2:
+        raise InputError(f"'{run.name}' has no measurement after its first row: give a longer run")
+    # A command that bends within an interval would be straight in it.
+    knots = [np.asarray(inputs.command.times)]
+    knots += [] if inputs.wind is None else [np.asarray(inputs.wind.times)]
+    bends = np.concatenate(knots).round(9)
+    bends = bends[(bends > first) & (bends < exposures[-1])]
+    corners = np.unique(np.concatenate([exposures, bends]))
+    apart = np.concatenate([[True], np.diff(corners) > 1e-6]) | np.isin(corners, exposures)
+    times = [first]
+    for before, after in itertools.pairwise(corners[apart]):
         count = max(int(np.ceil((after - before) / _LONGEST - 1e-6)), 1)
         times += [*np.linspace(before, after, count + 1)[1:-1].tolist(), after]
     moments = np.array(times)
     empty = np.full(len(channels), np.nan)
     values = np.stack([rows.get(round(float(each), 9), empty) for each in moments])
-    begin = np.concatenate([[moments[0] - _LONGEST], moments[:-1]])
+    begin = np.concatenate([[moments[0] - SHORT], moments[:-1]])
     width = 3 if unknown_air else 0
     plan = Plan(moments, None, inputs.command, inputs.wind, width)  # type: ignore[arg-type]
     there = np.isfinite(values)
@@ -329,7 +351,13 @@ def rest_in(arm: Arm, command: np.ndarray, wind: np.ndarray | None) -> np.ndarra
     return found.x if found.success and np.all(np.isfinite(found.x)) else None
 
 
-def starts(tracked: TrackedArm, held: Held, unknown: Unknown, stated: Any) -> list[Gaussian]:
+def starts(
+    tracked: TrackedArm,
+    held: Held,
+    unknown: Unknown,
+    stated: Any,
+    rest: Sequence[bool] = (False, True),
+) -> list[Gaussian]:
     """What may be known of the arm at the start, of which `held` is the first interval.
 
     It starts as stated, or has come to rest long ago; and the mean flow is what it is guessed to
@@ -355,10 +383,12 @@ def starts(tracked: TrackedArm, held: Held, unknown: Unknown, stated: Any) -> li
             errors = np.array([*unknown.considered.values()])
             covariance[:count, :count] = unknown.correlation * np.outer(errors, errors)
         deviation[where["biases"]] = np.asarray(tracked.bias_deviation)
-        mean[where["drive"]] = command if tracked.lags else []
+        reached, pulled = tracked.followed(command)
+        mean[where["drive"]] = reached if tracked.lags else []
+        deviation[where["drive"]] = _AT_REST[0]
         size = tracked.joints
-        for rests in (False, True):
-            here = rest_in(tracked.model.arm, command, blows) if rests else angles
+        for rests in rest:
+            here = rest_in(tracked.model.arm, pulled, blows) if rests else angles
             if here is None:
                 continue
             begun, root_of = mean.copy(), np.diag(deviation)
@@ -366,6 +396,8 @@ def starts(tracked: TrackedArm, held: Held, unknown: Unknown, stated: Any) -> li
             spreads = _AT_REST if rests else _STATED
             root_of[range(size), range(size)] = spreads[0]
             root_of[range(size, 2 * size), range(size, 2 * size)] = spreads[1]
+            if tracked.gusts is not None:
+                root_of[where["gusts"], where["gusts"]] = tracked.gusts.roots()
             inside = where["parameters"]
             if tracked.paths:
                 roots, turns = np.linalg.eigh(covariance)
@@ -374,7 +406,8 @@ def starts(tracked: TrackedArm, held: Held, unknown: Unknown, stated: Any) -> li
             begun[where["arm"]] = state.ravel()
             start = Gaussian(jnp.asarray(begun), jnp.asarray(root_of))
             if rests:
-                start = rested(tracked, start, held, _DOUBLINGS)
+                often = held._replace(length=jnp.asarray(_LONGEST, float))
+                start = rested(tracked, start, often, _DOUBLINGS)
                 size_of = float(jnp.max(start.deviations[: tracked.joints]))
                 if not size_of < np.pi:  # no rest that it stays at
                     continue
@@ -460,7 +493,7 @@ def usual_torque(model: ArmModel) -> float:
     )
 
 
-Fixed = tuple[Array, Array, bool]
+Fixed = tuple[Array, Array, Array]
 
 
 def begun_at(
@@ -479,6 +512,13 @@ def begun_at(
         InputError: a run that is too long for its states, or one that `planned` refuses.
     """
     names = list(noise)
+    known = run.definition.section(WindSection).velocity_m_per_s is not None or bool(run.winds)
+    known = known or model.arm.air.wind is not None or model.arm.air.wind_field is not None
+    if unknown.air is not None and known:
+        raise InputError(
+            f"the wind of '{run.name}' is known, by its columns, [wind] or the arm: leave that "
+            "out, or do not track one"
+        )
     tracked = tracked_arm(
         model,
         names,
@@ -487,6 +527,7 @@ def begun_at(
         biases=(*unknown.biases, *_correlated(run, names)),
         paths=(*unknown.considered, *unknown.estimated),
         torque=usual_torque(model) if unknown.torque is None else unknown.torque,
+        ties=unknown.ties,
     )
     plan = planned(model, run, names, unknown_air=unknown.air is not None)
     if len(plan.times) * tracked.size**2 > _MOST:
@@ -497,7 +538,7 @@ def begun_at(
     estimated = np.ones(tracked.size, bool)
     considered = tracked.slices()["parameters"].start + np.arange(len(unknown.considered))
     estimated[considered] = False
-    fixed = (jnp.asarray(estimated), jnp.asarray(gate, float), False)
+    fixed = (jnp.asarray(estimated), jnp.asarray(gate, float), jnp.asarray(False))
     if start is not None:
         return tracked, plan, start, fixed
     first: Any = jax.tree.map(lambda leaf: leaf[0], plan.events.held)
@@ -567,7 +608,12 @@ def track(
         every = (jnp.ones(tracked.size, bool), *fixed[1:])
         whole, _ = followed_through(tracked, begun, plan.events, every)
     after = as_states(tracked, _smoothed_through(tracked, whole.state, plan.events))
-    late = max(delays_of(stated, run, names).values()) + latency
+    if not np.all(np.isfinite(after.mean)):
+        raise InputError(
+            f"the smoother of '{run.name}' is not finite: allow more unmodelled torque, or compare "
+            "the model with the run first (giajax fit)"
+        )
+    late = max(delays_of(stated, names).values()) + latency
     now, now_times = None, plan.times
     if late > 0:
         say("what is known in time ...")
@@ -588,6 +634,7 @@ def track(
         off=np.asarray(found.innovation.off),
         expected=np.asarray(found.innovation.deviations),
         whitened=np.asarray(found.innovation.whitened),
+        nis=np.asarray(found.innovation.nis),
         log_likelihood=np.asarray(found.innovation.log_likelihood),
         noise=noise,
         gate=gate,

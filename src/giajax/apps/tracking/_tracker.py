@@ -12,14 +12,16 @@ from ...models import AbstractModel
 from ...recordings import Channel
 from ...runtime.arrays import Array
 from ...runtime.text import InputError
-from ._arm import Held, TrackedArm, delay_path, tracked_arm
+from ._arm import Held, TrackedArm, tracked_arm
 from ._filter import Gaussian
 from ._rounds import GATE, Events, Filtered, Followed, System, followed_by
 from ._track import (
+    SHORT,
     States,
     Unknown,
     arm_model,
     as_states,
+    delays_of,
     starts,
     usual_torque,
     with_errors_of,
@@ -174,9 +176,6 @@ class DelayedFilter(Generic[Kept]):
         del self._clones[: max(bisect.bisect_right(times, old) - 1, 0)]
 
 
-_SHORT = 1e-9  # s
-
-
 class _Initial(NamedTuple):
     angle: np.ndarray
     rate: np.ndarray
@@ -240,7 +239,9 @@ class Tracker:
             biases=given.biases,
             paths=(*given.considered, *given.estimated),
             torque=usual_torque(stated) if given.torque is None else given.torque,
+            ties=given.ties,
         )
+        self._delays = delays_of(stated, list(noise))
         count = self.arm.joints
         rest = np.zeros(count)
         first = rest if command is None else _row("command", command, count)
@@ -252,9 +253,9 @@ class Tracker:
             rest if rates is None else _row("rates", rates, count),
         )
         self._width = 0 if given.air is None else 3
-        found = starts(self.arm, self._held(time - 0.1, time), given, initial)
-        # Of each mean flow one that is as stated, and one that rests if there is a rest.
-        begun = found[0] if angles is not None or len(found) == 1 else found[1]
+        known = (self.arm, self._held(time - SHORT, time), given, initial)
+        found = [] if angles is not None else starts(*known, rest=(True,))
+        begun = (found or starts(*known, rest=(False,)))[0]
         estimated = np.ones(self.arm.size, bool)
         considered = self.arm.slices()["parameters"].start + np.arange(len(given.considered))
         estimated[considered] = False
@@ -269,7 +270,9 @@ class Tracker:
         )
 
     def update(self, row: Mapping[str, float]) -> States:
-        """Take a row of commands and measurements, and say where the arm was when it was taken.
+        """Take a row of commands and measurements, and say where the arm was at the last of them.
+
+        Commands of a row that is older than the last one do not count.
 
         Arguments:
             row: `time`, the stamp (s); commanded angles of joints by name (`joint01_command`, rad),
@@ -289,9 +292,10 @@ class Tracker:
                 continue
             channel = Channel.named(name)
             if channel.kind == "joint_command" and (channel.index or 0) <= self.arm.joints:
-                command[(channel.index or 1) - 1] = value
+                if np.isfinite(value):
+                    command[(channel.index or 1) - 1] = value
             elif name in self.arm.channels:
-                late = self.arm.delay_of(delay_path(name)) or 0.0
+                late = self._delays[name]
                 values = groups.setdefault(late, np.full(len(self.arm.channels), np.nan))
                 values[self.arm.channels.index(name)] = value
             else:
@@ -302,6 +306,8 @@ class Tracker:
         if stamp > self._knots[-1]:
             self._knots.append(stamp)
             self._commands.append(command)
+        elif stamp == self._knots[-1]:
+            self._commands[-1] = command
         for late in sorted(groups, reverse=True):
             if np.any(np.isfinite(groups[late])):
                 self.filter.measure(stamp - late, groups[late])
@@ -311,10 +317,12 @@ class Tracker:
         return self._states(self.filter.state)
 
     def now(self, time: float | None = None) -> States:
-        """What is expected of a time (s) after the last measurement, by the last command."""
-        ahead = self._knots[-1] if time is None else float(time)
-        if ahead <= self.filter.time:
-            return self._states(self.filter.state)
+        """What is expected of a time (s) after the last measurement, by the last command.
+
+        Raises:
+            InputError: a time before the last measurement.
+        """
+        ahead = max(self._knots[-1], self.filter.time) if time is None else float(time)
         return self._states(self.filter.ahead(ahead))
 
     @property
@@ -335,7 +343,7 @@ class Tracker:
         edges = np.array([begin, end])
         command = np.stack([np.interp(edges, knots, column) for column in rows.T], axis=1)
         # Of two measurements of one time the second has no interval, by which slopes are divided.
-        given = (begin, max(end - begin, _SHORT), command, np.zeros((2, self._width)))
+        given = (begin, max(end - begin, SHORT), command, np.zeros((2, self._width)))
         return Held(*(jnp.asarray(each, float) for each in given))
 
 

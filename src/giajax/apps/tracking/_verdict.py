@@ -1,28 +1,38 @@
 """Whether a track can be trusted, and what is wrong where it cannot."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ...fitting import FitResult
 from ...models import AbstractModel, ArmModel
+from ...recordings import Channel, Run
 from ...runtime.text import InputError
 from ...schema import CAMERA
 from ...schema.parameters import elements, replace
 from ..synthetic import DECAY
 from ..wind import first_guess
-from ._arm import Air, Bias, delay_path
-from ._track import Track, Unknown, arm_model, begun_at, followed_through
+from ._arm import Air, Bias, TrackedArm, delay_path
+from ._rounds import GATE
+from ._track import (
+    Track,
+    Unknown,
+    arm_model,
+    begun_at,
+    followed_through,
+    noise_of,
+    with_errors_of,
+)
 
 # What is off by less is of no consequence, whatever the number of measurements.
 _ENOUGH = 0.1
 _BEYOND = 4.0  # standard errors
 _LAGS = 10  # events
 _GAIN = 8.0  # of the log-likelihood: 4 standard errors of one number
-_FIRST = 600  # events by which explanations are compared
+_FIRST = 600  # rows of the run by which explanations are compared
 _SHIFTS = (-0.2, 0.2)  # of a clock, s
 _OFTEN = 0.02  # of the measurements that are left out
 
@@ -51,7 +61,7 @@ class TrackVerdict:
 
     Attributes:
         adequate: whether that is so, and no explanation is better.
-        nis: mean square of the whitened innovations, 1 where all is right.
+        nis: mean square of the whitened innovations that counted, 1 where all is right.
         nis_error: standard error of that.
         correlation: largest correlation of them between one event and one of the next ten.
         left_out: share of the measurements that did not count.
@@ -82,16 +92,25 @@ class TrackVerdict:
         )
 
 
+def _first_rows(run: Run) -> Run:
+    """The first rows of a run, which are as many for every explanation."""
+    if run.times is None or len(run.times) <= _FIRST:
+        return run
+    values = {name: column[:_FIRST] for name, column in run.values.items()}
+    return dataclasses.replace(run, times=run.times[:_FIRST], values=values)
+
+
 def consistent(found: Track) -> tuple[bool, float, float, float, float]:
     """Whether innovations are as expected, and by which numbers; as of `TrackVerdict`."""
-    count = int(np.sum(found.there))
-    nis = float(np.sum(found.whitened[found.there] ** 2) / count)
-    error = float(np.sqrt(2 / count))
-    rows = found.whitened[np.any(found.there, axis=1)]
+    count, counted = int(np.sum(found.there)), int(np.sum(found.used))
+    # Outliers are judged by how many there are.
+    nis = float(np.sum(found.whitened**2) / counted)
+    error = float(np.sqrt(2 / counted))
+    rows = found.whitened[np.any(found.used, axis=1)]
     size = np.mean(rows**2)
     lags = range(1, min(_LAGS, len(rows) - 2) + 1)
     largest = max((float(np.mean(rows[k:] * rows[:-k]) / size) for k in lags), key=abs, default=0.0)
-    left_out = 1 - float(np.sum(found.used & found.there)) / count
+    left_out = 1 - counted / count
     sound = (
         abs(nis - 1) <= max(_ENOUGH, _BEYOND * error)
         and abs(largest) <= max(_ENOUGH, _BEYOND / np.sqrt(rows.size))
@@ -111,7 +130,7 @@ def judge(
 
     Clocks are shifted in any case. Where innovations are too large or not white, a wind with
     gusts, other stiffness and drag, a bias of the camera, more unmodelled torque and more noise
-    are tried, too; each by the log-likelihood of the first 600 times.
+    are tried, too; each by the log-likelihood of the first 600 rows.
 
     Arguments:
         model: that was tracked.
@@ -124,31 +143,34 @@ def judge(
     stated: Any = arm_model(model)
     if isinstance(model, FitResult):
         stated = model.model_of(found.run)
-    base = float(np.sum(found.log_likelihood[:_FIRST]))
-    causes, tried = [], []
+    short = _first_rows(found.run)
+    causes: list[Cause] = []
+    tried: list[str] = []
 
     def likely(other: ArmModel, unknown: Unknown, noise: dict[str, float] | None = None) -> float:
         same = found.start if unknown is found.unknown else None
         try:
-            given = (other, found.run, noise or found.noise, unknown, found.gate, same)
+            given = (other, short, noise or found.noise, unknown, found.gate, same)
             tracked, plan, start, fixed = begun_at(*given)
-            first: Any = jax.tree.map(lambda leaf: leaf[:_FIRST], plan.events)
-            rows, _ = followed_through(tracked, start, first, fixed)
+            rows, _ = followed_through(tracked, start, plan.events, fixed)
         except InputError:
             return -np.inf
-        gain = float(np.sum(np.asarray(rows.innovation.log_likelihood))) - base
-        return gain if np.isfinite(gain) else -np.inf
+        total = float(np.sum(np.asarray(rows.innovation.log_likelihood)))
+        return total if np.isfinite(total) else -np.inf
+
+    base = likely(stated, found.unknown) if look else 0.0
 
     moves = any(np.ptp(column) > 0 for column in found.run.commands.values())
     # Of two clocks one is late where the other is early: the first is shifted.
-    clocks = sorted({delay_path(name) for name in found.arm.channels})
+    clocks = sorted({delay_path(name) for name in found.arm.channels} - {""})
     for path in clocks[:1] if moves and look else ():
         say(f"{path} ...")
         tried.append(path)
         nominal = found.arm.delay_of(path) or 0.0
         gains = {0.0: 0.0}
         for shift in _SHIFTS:
-            gains[shift] = likely(replace(stated, {path: nominal + shift}), found.unknown)
+            shifted = replace(stated, {path: nominal + shift})
+            gains[shift] = likely(shifted, found.unknown) - base
         if (late := _highest(gains)) is not None:
             at, gain, deviation = late
             if gain > _GAIN:
@@ -166,7 +188,7 @@ def judge(
         for name, unknown, noise, advice in _others(stated, found, nis):
             say(f"{name} ...")
             tried.append(name)
-            gain = likely(stated, unknown, noise)
+            gain = likely(stated, unknown, noise) - base
             if gain > _GAIN:
                 causes.append(Cause(name, gain, advice))
     causes.sort(key=lambda cause: -cause.gain)
@@ -220,10 +242,14 @@ def _others(stated: ArmModel, found: Track, nis: float) -> list[Any]:
         others.append(
             ("other stiffness or drag", estimated, None, "fit the model to a run like this one")
         )
-    places = [name for name in found.noise if delay_path(name) == CAMERA.delay.path]
-    by_axis = {axis: tuple(n for n in places if n.endswith(f"_{axis}")) for axis in "xyzuv"}
-    size = 10 * max((found.noise[name] for name in places), default=0.0)
-    biases = tuple(Bias(names, size) for names in by_axis.values() if names)
+    axes: dict[tuple[str, int | None], list[str]] = {}
+    for name in found.noise:
+        if delay_path(name) == CAMERA.delay.path:
+            channel = Channel.named(name)
+            axes.setdefault((f"{channel.camera} {channel.quantity}", channel.component), []).append(
+                name
+            )
+    biases = tuple(Bias(tuple(names), 10 * found.noise[names[0]]) for names in axes.values())
     if biases and not unknown.biases:
         others.append(
             ("a bias of the camera", also(biases=biases), None, "track it: --bias, or Bias")
@@ -245,23 +271,49 @@ def usual_places(model: ArmModel) -> int:
     return int(np.clip(np.ceil(length / 2.5), 2, model.arm.count)) if model.arm.count > 1 else 1
 
 
-def unseen_states(found: Track) -> list[tuple[str, float, float]]:
-    """States that the channels hardly show: name, and deviations before and after, SI.
+_SEEN = 0.9  # of what the deviation was before
 
-    By the filter's covariance at the end of the run, which does not depend on what was measured.
+
+def unseen(
+    model: AbstractModel | FitResult,
+    run: Run,
+    *,
+    unknown: Unknown | None = None,
+    channels: Sequence[str] | None = None,
+) -> list[tuple[str, float, float]]:
+    """States that channels hardly show, before anything is measured.
+
+    By the filter's covariance over the first 600 rows of a run, of which only times, commands and
+    which channels there are count. Parameters are taken as estimated.
+
+    Returns:
+        Names, and deviations before and after, SI.
+
+    Raises:
+        InputError: as of `track`.
     """
-    before = np.sqrt(np.sum(np.asarray(found.start.root) ** 2, axis=1))
-    after = np.sqrt(np.sum(found.filtered.root[-1] ** 2, axis=1))
-    where, rows = found.arm.slices(), []
-    for name, index in _named(found, where):
-        if before[index] > 0 and after[index] > 0.9 * before[index]:
-            rows.append((name, float(before[index]), float(after[index])))
-    return rows
+    result = model if isinstance(model, FitResult) else None
+    stated: Any = arm_model(model)
+    if result is not None:
+        stated = result.model_of(run)
+    given = with_errors_of(model, Unknown() if unknown is None else unknown)
+    names = list(run.observations if channels is None else channels)
+    noise = noise_of(run, names, result)
+    tracked, plan, start, (_, gate, _) = begun_at(stated, _first_rows(run), noise, given, GATE)
+    every = jnp.ones(tracked.size, bool)
+    rows, _ = followed_through(tracked, start, plan.events, (every, gate, jnp.asarray(True)))
+    before = np.sqrt(np.sum(np.asarray(start.root) ** 2, axis=1))
+    after = np.sqrt(np.sum(np.asarray(rows.state.root[-1]) ** 2, axis=1))
+    return [
+        (name, float(before[index]), float(after[index]))
+        for name, index in _named(tracked)
+        if before[index] > 0 and after[index] > _SEEN * before[index]
+    ]
 
 
-def _named(found: Track, where: dict[str, slice]) -> list[tuple[str, int]]:
-    arm, names = found.arm, []
-    names += [(f"joint{k + 1:02d}_angle", k) for k in range(arm.joints)]
+def _named(arm: TrackedArm) -> list[tuple[str, int]]:
+    where = arm.slices()
+    names = [(f"joint{k + 1:02d}_angle", k) for k in range(arm.joints)]
     if arm.gusts is not None:
         names += [(f"wind_{axis}", where["mean flow"].start + k) for k, axis in enumerate("xyz")]
     names += [(path, where["parameters"].start + k) for k, path in enumerate(arm.paths)]
