@@ -119,7 +119,8 @@ class TrackedArm(eqx.Module):
         paths: of the parameters.
         torque: unmodelled torque of each joint, as white noise, N m root(s).
         bias_of: which channels a bias is added to, shape (channel, bias).
-        bias_lasting, bias_deviation: s and SI.
+        bias_lasting: s.
+        bias_deviation: SI.
         ties: of parameters that follow from others.
         late: nominal delays of `camera.delay` and `encoder.delay`, s, which measurements already
             have.

@@ -80,14 +80,20 @@ class States:
     """A state over time, with its deviations.
 
     Attributes:
-        angles, rates: of the joints, rad and rad/s, shape (time, joint).
+        angles: of the joints, rad, shape (time, joint).
+        rates: of the joints, rad/s, likewise.
         tip: m, shape (time, 3).
         wind: mean over the links of the wind that is unknown, m/s, shape (time, 3), or None.
         parameters: uncertain ones by path, SI, considered or estimated.
         biases: SI, shape (time, bias).
-        angle_deviations, rate_deviations, tip_deviations, wind_deviations, parameter_deviations,
-            bias_deviations: their standard deviations, likewise.
-        mean, root: the whole state, and a root of its covariance.
+        angle_deviations: standard deviations, as the values; so are the next ones.
+        rate_deviations: of the rates.
+        tip_deviations: of the tip.
+        wind_deviations: of the wind.
+        parameter_deviations: of the parameters.
+        bias_deviations: of the biases.
+        mean: the whole state.
+        root: of its covariance.
     """
 
     angles: Float[np.ndarray, "time joint"]
@@ -120,8 +126,10 @@ class Track:
             until it was; None without a delay.
         now_times: of these, s.
         latency: after the stamp, s.
-        there, used: which channels were measured, and which counted, shape (event, channel).
-        off, expected: measured minus expected, and its expected deviation, SI.
+        there: which channels were measured, shape (event, channel).
+        used: which counted.
+        off: measured minus expected, SI.
+        expected: deviation of that, SI.
         whitened: what counted of that, as independent numbers of deviation 1.
         nis: of each event, the square of all that was measured over what is expected.
         log_likelihood: of the measurements of each event.
@@ -246,7 +254,9 @@ class Plan:
     Attributes:
         times: of the events, s.
         events: for the filter.
-        command, wind: over time; the wind None in still air.
+        command: over time.
+        wind: over time; None in still air.
+        width: of the wind where it is unknown, 3, or 0.
     """
 
     times: np.ndarray

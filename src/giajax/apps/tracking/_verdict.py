@@ -45,7 +45,8 @@ class Cause:
         name: of it.
         gain: of the log-likelihood by it.
         advice: what to do, in a sentence.
-        value, deviation: of the number that it is about, SI; None where it has none.
+        value: of the number that it is about, SI; None where it has none.
+        deviation: of that.
     """
 
     name: str
