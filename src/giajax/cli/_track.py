@@ -96,6 +96,9 @@ def track(
     ] = None,
     latency: Annotated[float, "S", "From a stamp until its measurement arrives."] = 0.0,
     gate: Annotated[float, "SD", "A measurement that is farther off does not count."] = 5.0,
+    truth: Annotated[
+        Path | None, "TRUE.csv", "True angles or rates: are the deviations right?"
+    ] = None,
     no_judge: Annotated[bool, "Do not look for what is wrong."] = False,
     channels: OnlyChannels = None,
     rename: Renamed = None,
@@ -136,6 +139,7 @@ def track(
         estimate_columns,
         estimate_definition,
         judge,
+        nees,
         track as tracked,
         track_facts,
         track_figure,
@@ -161,6 +165,9 @@ def track(
     found = tracked(source, recorded, unknown=unknown, latency=latency, gate=gate, progress=say)
     verdict = judge(source, found, progress=say, look=not no_judge)
     facts = track_facts(found, verdict, hidden)
+    if truth is not None:
+        square, share = nees(found, read_run(truth))
+        facts["truth"] = {"nees_per_state": square, "within_95_percent": share}
     text = json.dumps(facts, indent=2, allow_nan=False)
     picture = to_png(track_figure(found))
     contents = {
@@ -178,6 +185,8 @@ def track(
         typer.echo(text)
     elif not quiet:
         _show(found, verdict, hidden)
+        if truth is not None:
+            typer.echo(f"truth: NEES {square:.3g} per state, {share:.1%} within the 95 % bands")
         say_written(out, [*contents, _RUN])
         if page is None:
             typer.echo("note: track.html needs the extra report")

@@ -50,6 +50,7 @@ from ._verdict import (
     Cause as Cause,
     TrackVerdict as TrackVerdict,
     judge as judge,
+    nees as nees,
     unseen as unseen,
     usual_places as usual_places,
 )

@@ -272,6 +272,47 @@ def usual_places(model: ArmModel) -> int:
     return int(np.clip(np.ceil(length / 2.5), 2, model.arm.count)) if model.arm.count > 1 else 1
 
 
+def nees(found: Track, truth: Run) -> tuple[float, float]:
+    """How far the filter is from the truth, over what it says of that.
+
+    Arguments:
+        found: the track.
+        truth: a run with the true angles or rates of joints, at least at some of its times.
+
+    Returns:
+        Mean normalised square of the error of a state, 1 where deviations are right, and the share
+        of errors within 1.96 deviations, 0.95 there.
+
+    Raises:
+        InputError: no true angle or rate, or none at a time of the track.
+    """
+    count = found.arm.joints
+    columns = [
+        (name, offset + k)
+        for k in range(count)
+        for name, offset in ((f"joint{k + 1:02d}_angle", 0), (f"joint{k + 1:02d}_rate", count))
+        if name in truth.values
+    ]
+    if truth.times is None or not columns:
+        raise InputError(
+            f"'{truth.name}' has no true angle or rate of a joint: give columns such as "
+            "joint01_angle_deg"
+        )
+    near = np.clip(np.searchsorted(truth.times, found.times - 1e-6), 0, len(truth.times) - 1)
+    same = np.abs(truth.times[near] - found.times) < 1e-6
+    table = np.stack([truth.values[name][near[same]] for name, _ in columns], axis=1)
+    there = np.all(np.isfinite(table), axis=1)
+    if not there.any():
+        raise InputError(f"'{truth.name}' has no time of the track: give it at the same times")
+    states = [index for _, index in columns]
+    off = table[there] - found.filtered.mean[same][there][:, states]
+    root = found.filtered.root[same][there][:, states]
+    covariance = root @ root.transpose(0, 2, 1)
+    solved = np.linalg.solve(covariance, off[..., None])[..., 0]
+    spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    return float(np.mean(off * solved)), float(np.mean(np.abs(off) < 1.96 * spread))
+
+
 _SEEN = 0.9  # of what the deviation was before
 
 
