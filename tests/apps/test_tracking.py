@@ -131,14 +131,15 @@ def test_the_states_of_a_late_camera_are_known_as_well_as_is_said(model):
     found = track(late, run)
     errors, covariances = off(found, times, true)
     kinds = [f"joint{k + 1:02d}_{kind}" for kind in ("angle", "rate") for k in range(LINKS)]
-    truth = Run.from_arrays(times, dict(zip(kinds, true.T, strict=True)))
+    driven = {"joint01_command": np.zeros(len(times))}
+    truth = Run.from_arrays(times, driven | dict(zip(kinds, true.T, strict=True)))
     square, share = nees(found, truth)
     expected = np.mean(np.einsum("ti,tij,tj->t", errors, np.linalg.inv(covariances), errors))
     assert square == pytest.approx(expected / errors.shape[1])
     assert square < 1.3  # nothing but noise is random here
     assert share > 0.93
     with pytest.raises(InputError, match="no true angle or rate"):
-        nees(found, Run.from_arrays(times, {"tip_x": tip[:, 0]}))
+        nees(found, Run.from_arrays(times, driven | {"tip_x": tip[:, 0]}))
     verdict = judge(late, found)
     assert verdict.adequate, verdict.sentence
     # The smoother knows more than the filter, which knows more than what comes too late.
