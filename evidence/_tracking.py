@@ -46,7 +46,7 @@ def _arm(number: int, seed: int, links: int) -> dict[str, Any]:
     from giajax.apps.wind import first_guess
 
     rng = np.random.default_rng([seed, number])
-    memory: Any = MEMORY if number % 3 == 2 else None
+    memory: Any = MEMORY if number % 3 == 1 else None
     arm = takeichi_20m_full(links, parameters=memory)
     nominal = {path: float(_value(arm, path)) for path in SPREAD}
     factor = np.exp([SPREAD[path] * rng.normal() for path in ("joints.pitch_stiffness",)])[0]
@@ -66,7 +66,9 @@ def _arm(number: int, seed: int, links: int) -> dict[str, Any]:
     )
     found = track(model, recorded, unknown=unknown)
     facts: dict[str, Any] = {"memory": memory is not None, **_errors(found, truth)}
-    facts["right"] = judge(model, found).adequate
+    facts["right"] = judge(model, found, look=memory is None).adequate
+    if memory is not None:  # ten times as expensive, and what follows is of sensors and of the air
+        return facts
     early = replace(model, {"camera.delay": DELAY - WRONG})
     late = track(early, recorded, unknown=unknown)
     verdict = judge(early, late)
@@ -158,6 +160,10 @@ def _errors(found: Any, truth: dict[str, np.ndarray]) -> dict[str, float]:
     }
 
 
+def _word(said: bool | None) -> str:
+    return "not tried" if said is None else "yes" if said else "no"
+
+
 def _rms(vectors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
@@ -179,7 +185,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
             )
         if not NEES[0] / 2 < arm["nees"] < 2 * NEES[1]:
             sentences.append(f"arm {number}: NEES per state {arm['nees']:.2f}, and about 1 is due")
-        if not arm["gusts_called"]:
+        if not arm.get("gusts_called", True):
             sentences.append(f"arm {number}: that gusts are missing is not said")
     return sentences
 
@@ -202,8 +208,8 @@ def table(figures: Figures) -> list[str]:
     rows = [f"| {' | '.join(heads)} |", f"| {' | '.join(['---'] * len(heads))} |"]
     for number, arm in enumerate(figures["arms"]):
         name = f"{number + 1}{', remembers' if arm['memory'] else ''}"
-        late = arm["delay_found"]
-        called = "yes" if arm["delay_called"] else "no"
+        late = arm.get("delay_found")
+        called = _word(arm.get("delay_called"))
         cells = [
             name,
             f"{arm['nees']:.2f}",
@@ -213,9 +219,9 @@ def table(figures: Figures) -> list[str]:
             f"{arm['tip_in_time_m']:.3f}",
             f"{arm['wind_across_m_per_s']:.3f}",
             f"{arm['ms_per_event']:.1f}",
-            "yes" if arm["right"] else "no",
+            _word(arm["right"]),
             called if late is None else f"{called}, {late:.2f} s",
-            "yes" if arm["gusts_called"] else "no",
+            _word(arm.get("gusts_called")),
         ]
         rows.append(f"| {' | '.join(cells)} |")
     return [
