@@ -56,7 +56,7 @@ def _arm(number: int, seed: int, links: int) -> dict[str, Any]:
         "air.drag_coefficient": nominal["air.drag_coefficient"]
         * np.exp(SPREAD["air.drag_coefficient"] * rng.normal()),
     }
-    recorded, truth = _recorded(replace(arm, drawn), rng, links)
+    run_of_it, truth = recorded(replace(arm, drawn), rng, links)
     model = replace(ArmModel(arm), {"camera.delay": DELAY})
     wind = first_guess(MEAN, INTENSITY, LENGTH_SCALE, 12.0)
     unknown = Unknown(
@@ -64,24 +64,24 @@ def _arm(number: int, seed: int, links: int) -> dict[str, Any]:
         considered={path: SPREAD[path] * nominal[path] for path in SPREAD},
         correlation=np.array([[1.0, 0.999, 0.0], [0.999, 1.0, 0.0], [0.0, 0.0, 1.0]]),
     )
-    found = track(model, recorded, unknown=unknown)
+    found = track(model, run_of_it, unknown=unknown)
     facts: dict[str, Any] = {"memory": memory is not None, **_errors(found, truth)}
     facts["right"] = judge(model, found, look=memory is None).adequate
     if memory is not None:  # ten times as expensive, and what follows is of sensors and of the air
         return facts
     early = replace(model, {"camera.delay": DELAY - WRONG})
-    late = track(early, recorded, unknown=unknown)
+    late = track(early, run_of_it, unknown=unknown)
     verdict = judge(early, late)
     facts["delay_called"] = any(cause.name == "camera.delay" for cause in verdict.causes)
     facts["delay_found"] = next((c.value for c in verdict.causes if c.name == "camera.delay"), None)
-    still = track(model, recorded, unknown=dataclasses.replace(unknown, air=None))
+    still = track(model, run_of_it, unknown=dataclasses.replace(unknown, air=None))
     verdict = judge(model, still)
     facts["gusts_called"] = bool(verdict.causes) and verdict.causes[0].name == "a wind with gusts"
     facts["still_adequate"] = verdict.adequate
     return facts
 
 
-def _recorded(arm: Any, rng: np.random.Generator, links: int) -> tuple[Any, dict[str, np.ndarray]]:
+def recorded(arm: Any, rng: np.random.Generator, links: int) -> tuple[Any, dict[str, np.ndarray]]:
     """A run of the arm, and its true angles, rates, tip and mean wind at the exposures."""
     import jax.numpy as jnp
 
@@ -119,7 +119,7 @@ def _recorded(arm: Any, rng: np.random.Generator, links: int) -> tuple[Any, dict
     values["joint01_angle"] = angles[at_stamps, 0]
     values = {name: v + NOISE[name] * rng.normal(size=v.shape) for name, v in values.items()}
     values["joint01_command"] = np.interp(stamps, begins, rows[:, 0])
-    recorded = Run.from_arrays(stamps, values, name="drawn", noise=NOISE)
+    run_of_it = Run.from_arrays(stamps, values, name="drawn", noise=NOISE)
     flow = np.stack([np.interp(times, wind.times, column) for column in table.T], axis=1)
     truth = {
         "times": times,
@@ -128,7 +128,7 @@ def _recorded(arm: Any, rng: np.random.Generator, links: int) -> tuple[Any, dict
         "tip": tip,
         "wind": flow.reshape(len(times), links, 3).mean(axis=1),
     }
-    return recorded, truth
+    return run_of_it, truth
 
 
 def _errors(found: Any, truth: dict[str, np.ndarray]) -> dict[str, float]:

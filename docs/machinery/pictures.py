@@ -14,12 +14,16 @@ import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 
 import giajax
+from evidence._tracking import DELAY, INTENSITY, LENGTH_SCALE, MEAN, recorded
 from giajax.apps.experiments import figure_12, one_link
 from giajax.apps.filling import curve_figure, filling_curve, filling_figure
 from giajax.apps.joint import correction_figure, equilibria_figure, equilibria_table, joint_figure
 from giajax.apps.mission import Mission, mission_figure
 from giajax.apps.paper import reproduce
 from giajax.apps.shaping import Command, shape_command, shaping_figure
+from giajax.apps.synthetic import DECAY
+from giajax.apps.tracking import Air, Unknown, track_figure, usual_places
+from giajax.apps.wind import first_guess
 from giajax.mechanics.joint import LARGEST_ANGLE, JointPair
 from giajax.report import (
     correlation_figure,
@@ -134,6 +138,17 @@ def _shaping() -> None:
     _save("shaping", to_png(shaping_figure(found, "5 degrees within 30 s, unshaped and shaped")))
 
 
+def _tracking() -> None:
+    """An arm of eight links that is tracked in gusts, by a late camera."""
+    model = giajax.replace(giajax.ArmModel(giajax.takeichi_20m_full(8)), {"camera.delay": DELAY})
+    run, _ = recorded(model.arm, np.random.default_rng(3), 8)
+    wind = first_guess(MEAN, INTENSITY, LENGTH_SCALE, DECAY)
+    air = Air(wind, 0.1, places=usual_places(model))
+    found = giajax.track(model, run, unknown=Unknown(air=air))
+    title = "Eight links in gusts, the tip half a second late"
+    _save("tracking", to_png(track_figure(found, title)))
+
+
 def _paper() -> None:
     """A figure of the paper, made again."""
     for name, made in reproduce(["fig5"], ROOT / "data" / "paper"):
@@ -154,6 +169,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     "filling.png filling_curve.png": _filling,
     "mission.png": _mission,
     "shaping.png": _shaping,
+    "tracking.png": _tracking,
     "fig5.png": _paper,
 }
 """What makes which files."""

@@ -10,7 +10,6 @@ from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
 from ..runtime.text import InputError, install_command
 from ..studies import Contrast
-from ._style import as_data
 from ._text import SIGNATURE
 from ._views import Table
 
@@ -117,6 +116,7 @@ def study_page(
     """
     check_page()
     from . import page
+    from ._style import as_data  # which imports matplotlib
 
     return page.study_page(
         title=title,
