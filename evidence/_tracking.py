@@ -27,7 +27,7 @@ TIP, WIND = 0.10, 0.05  # m, m/s
 
 
 def run(size: int, seed: int, links: int = LINKS) -> Figures:
-    """Figures of `size` arms, every third of which has joints that remember."""
+    """Figures of `size` arms, of which every fourth remembers, and delay and gusts are wrong once for every third of four."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -46,7 +46,7 @@ def _arm(number: int, seed: int, links: int) -> dict[str, Any]:
     from giajax.apps.wind import first_guess
 
     rng = np.random.default_rng([seed, number])
-    memory: Any = MEMORY if number % 3 == 1 else None
+    memory: Any = MEMORY if number % 4 == 3 else None
     arm = takeichi_20m_full(links, parameters=memory)
     nominal = {path: float(_value(arm, path)) for path in SPREAD}
     factor = np.exp([SPREAD[path] * rng.normal() for path in ("joints.pitch_stiffness",)])[0]
@@ -66,8 +66,9 @@ def _arm(number: int, seed: int, links: int) -> dict[str, Any]:
     )
     found = track(model, run_of_it, unknown=unknown)
     facts: dict[str, Any] = {"memory": memory is not None, **_errors(found, truth)}
-    facts["right"] = judge(model, found, look=memory is None).adequate
-    if memory is not None:  # ten times as expensive, and what follows is of sensors and of the air
+    tried = number % 4 == 2  # ten minutes
+    facts["right"] = judge(model, found, look=tried).adequate
+    if not tried:
         return facts
     early = replace(model, {"camera.delay": DELAY - WRONG})
     late = track(early, run_of_it, unknown=unknown)
@@ -240,7 +241,7 @@ TRACKING = Study(
         "that nobody recorded, from a camera that sees the tip half a second late and an encoder "
         "of the base joint; and whether it says so where a delay or the gusts are wrong."
     ),
-    size=3,
+    size=2,
     seed=1,
     run=run,
     disagreements=disagreements,
