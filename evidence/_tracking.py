@@ -27,7 +27,10 @@ TIP, WIND = 0.10, 0.05  # m, m/s
 
 
 def run(size: int, seed: int, links: int = LINKS) -> Figures:
-    """Figures of `size` arms, of which every fourth remembers, and delay and gusts are wrong once for every third of four."""
+    """Figures of `size` arms.
+
+    Every fourth one remembers; of every third of four the delay and the air are also wrong.
+    """
     import jax
 
     jax.config.update("jax_enable_x64", True)
