@@ -248,7 +248,7 @@ class TrackedArm(eqx.Module):
     def _moved(self, vector: Array, chance: Array, held: Held) -> Array:
         where = self.slices()
         model = self.with_parameters(vector)
-        arm, joints = model.arm, model.arm.joints
+        joints = model.arm.joints
         command, drive = held.command, vector[where["drive"]]
         if joints.drive_gain is not None:
             command = command * jnp.broadcast_to(joints.drive_gain, (self.joints,))[None]
@@ -273,8 +273,7 @@ class TrackedArm(eqx.Module):
             known = jnp.tile(wind, (1, self.joints)) if wind.shape[1] == 3 else wind
             wind = known + unknown
             flow, gusts = drifted, after.ravel()
-        without: Any = dict.fromkeys(_DRIVE)
-        arm = dataclasses.replace(arm, joints=dataclasses.replace(joints, **without))
+        arm = _without_drives(model)
         state = vector[where["arm"]].reshape(self.rows, self.joints)
         blows = wind.shape[1] > 0
         moment = Moment(held.time, state, command[0], wind[0] if blows else None)
@@ -329,8 +328,6 @@ class TrackedArm(eqx.Module):
             gain = 1.0 if joints.drive_gain is None else joints.drive_gain
             drive = held.command[1] * gain
         command = _saturated(joints, drive)
-        without: Any = dict.fromkeys(_DRIVE)
-        joints = dataclasses.replace(joints, **without)
         memory = state[2:]
         return Trajectory(
             times=(held.time + held.length)[None],
@@ -339,7 +336,7 @@ class TrackedArm(eqx.Module):
             memory=memory[None] if len(memory) else None,
             pressures=None,
             skin=None,
-            arm=dataclasses.replace(model.arm, joints=joints),
+            arm=_without_drives(model),
             command=constant_signal(command),
             wind=constant_signal(flow) if flow.size else None,
             result=RESULTS.successful,  # type: ignore[arg-type]

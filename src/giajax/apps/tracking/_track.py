@@ -469,9 +469,13 @@ def _output_alone(tracked: TrackedArm, state: Gaussian) -> Outputs:
 
 def as_states(tracked: TrackedArm, states: Gaussian) -> States:
     """Distributions of the whole state as what they are of."""
-    tip, tip_deviations, wind, wind_deviations = map(
-        np.asarray, _of_each(_outputs, tracked, (states,))
-    )
+    if len(states.mean) == 1:  # of a tracker, which is asked after each row
+        found: Any = [
+            each[None] for each in _output_alone(tracked, Gaussian(*(x[0] for x in states)))
+        ]
+    else:
+        found = _of_each(_outputs, tracked, (states,))
+    tip, tip_deviations, wind, wind_deviations = map(np.asarray, found)
     mean, root_of = np.asarray(states.mean), np.asarray(states.root)
     deviations = np.sqrt(np.sum(root_of**2, axis=2))
     where, count = tracked.slices(), tracked.joints
@@ -501,6 +505,13 @@ def usual_torque(model: ArmModel) -> float:
     return STIFFNESS_SHARE * float(
         np.mean([*joints.pitch_stiffness.ravel(), *joints.yaw_stiffness.ravel()])
     )
+
+
+def estimated_states(tracked: TrackedArm, unknown: Unknown) -> Array:
+    """Which states measurements change: all but the parameters that are considered."""
+    first = tracked.slices()["parameters"].start
+    places = np.arange(tracked.size) - first
+    return jnp.asarray((places < 0) | (places >= len(unknown.considered)))
 
 
 Fixed = tuple[Array, Array, Array]
@@ -545,10 +556,7 @@ def begun_at(
             f"'{run.name}' has {len(plan.times)} times with {tracked.size} states each, more than "
             "are kept: cut it into several runs"
         )
-    estimated = np.ones(tracked.size, bool)
-    considered = tracked.slices()["parameters"].start + np.arange(len(unknown.considered))
-    estimated[considered] = False
-    fixed = (jnp.asarray(estimated), jnp.asarray(gate, float), jnp.asarray(False))
+    fixed = (estimated_states(tracked, unknown), jnp.asarray(gate, float), jnp.asarray(False))
     if start is not None:
         return tracked, plan, start, fixed
     first: Any = jax.tree.map(lambda leaf: leaf[0], plan.events.held)

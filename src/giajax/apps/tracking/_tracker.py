@@ -22,6 +22,7 @@ from ._track import (
     arm_model,
     as_states,
     delays_of,
+    estimated_states,
     starts,
     usual_torque,
     with_errors_of,
@@ -256,9 +257,6 @@ class Tracker:
         known = (self.arm, self._held(time - SHORT, time), given, initial)
         found = [] if angles is not None else starts(*known, rest=(True,))
         begun = (found or starts(*known, rest=(False,)))[0]
-        estimated = np.ones(self.arm.size, bool)
-        considered = self.arm.slices()["parameters"].start + np.arange(len(given.considered))
-        estimated[considered] = False
         self.filter: DelayedFilter[TrackedArm] = DelayedFilter(
             self.arm,
             time,
@@ -266,7 +264,7 @@ class Tracker:
             self._held,
             history=history,
             gate=gate,
-            estimated=jnp.asarray(estimated),
+            estimated=estimated_states(self.arm, given),
         )
 
     def update(self, row: Mapping[str, float]) -> States:
@@ -301,7 +299,7 @@ class Tracker:
             else:
                 raise InputError(
                     f"'{name}' is neither a command of the arm nor a channel of the tracker: give "
-                    f"noise for it, or leave it out"
+                    "noise for it, or leave it out"
                 )
         if stamp > self._knots[-1]:
             self._knots.append(stamp)
