@@ -104,7 +104,7 @@ def run(chain, start, intervals, values, gate=np.inf, estimated=None):
     events = events_of(intervals, values)
     return filtered(
         chain, begun(chain, start), events, jnp.asarray(estimated), jnp.asarray(gate), False
-    )
+    )[1]
 
 
 def simulated(chain, start, intervals, rng, runs=1):

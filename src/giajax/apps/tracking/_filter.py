@@ -40,7 +40,7 @@ class Gaussian(NamedTuple):
     @property
     def deviations(self) -> Float[Array, " state"]:
         """Standard deviations."""
-        return jnp.sqrt(jnp.sum(self.root**2, axis=1))
+        return jnp.sqrt(jnp.sum(self.root**2, axis=-1))
 
 
 def root_of_sum(*roots: Float[Array, "state _"]) -> Float[Array, "state state"]:
@@ -86,6 +86,18 @@ class Innovation(NamedTuple):
     log_likelihood: Float[Array, ""]
 
 
+class Correction(NamedTuple):
+    """How measurements change a state.
+
+    Attributes:
+        gain: of the state by what is off, shape (state, channel).
+        factor: lower triangular root of what is expected of that, shape (channel, channel).
+    """
+
+    gain: Float[Array, "state channel"]
+    factor: Float[Array, "channel channel"]
+
+
 def measured(
     before: Gaussian,
     off: Float[Array, " channel"],
@@ -95,7 +107,7 @@ def measured(
     there: Bool[Array, " channel"],
     used: Bool[Array, " channel"],
     estimated: Bool[Array, " state"],
-) -> tuple[Gaussian, Innovation]:
+) -> tuple[Gaussian, Innovation, Correction]:
     """The distribution after measurements whose noise is independent.
 
     Arguments:
@@ -124,7 +136,7 @@ def measured(
     count = jnp.sum(used, dtype=off.dtype)
     likelihood = -0.5 * (jnp.sum(whitened**2) + count * math.log(2 * math.pi)) - size
     innovation = Innovation(jnp.where(there, off, 0), deviations, nis, whitened, likelihood)
-    return Gaussian(before.mean + gain @ known, root), innovation
+    return Gaussian(before.mean + gain @ known, root), innovation, Correction(gain, factor)
 
 
 def _expected(root: Array, slope: Array, noise: Array, these: Array) -> tuple[Array, Array, Array]:

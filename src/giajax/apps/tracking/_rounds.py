@@ -1,4 +1,13 @@
-"""The filter and the smoother over events, of whatever moves and is measured."""
+"""The filter and the smoother over events, of whatever moves and is measured.
+
+Both are linearised where the filter is, or about states that are given: the smoothed ones of a pass
+before, so that filter and smoother once more are a Gauss-Newton step of the whole run (Bell, The
+iterated Kalman smoother as a Gauss-Newton method, SIAM J. Optimization 4 (1994) 626).
+
+That a parameter has changed is told by what a change at each of some past times would have done to
+what was measured since (Willsky and Jones, A generalized likelihood ratio approach to the detection
+and estimation of jumps in linear systems, IEEE Trans. Automatic Control 21 (1976) 108).
+"""
 
 import math
 from typing import Any, NamedTuple, Protocol
@@ -8,7 +17,7 @@ import jax.numpy as jnp
 
 from ...runtime.arrays import Array, Bool, Float, Int
 from ...runtime.programs import program
-from ._filter import Gaussian, Innovation, measured, moved, root_of_sum, smoothed
+from ._filter import Correction, Gaussian, Innovation, measured, moved, root_of_sum, smoothed
 
 
 class System(Protocol):
@@ -34,30 +43,129 @@ class Events(NamedTuple):
         held: what is known of the interval before each.
         values: measured channels, SI, shape (event, channel).
         there: which of them were measured.
+        loosened: by which states may have changed just before each interval, as a column of a root
+            of their covariance; None: not at all.
     """
 
     held: Any
     values: Float[Array, "event channel"]
     there: Bool[Array, "event channel"]
+    loosened: Float[Array, "event state"] | None = None
+
+
+_SLOTS = 20  # times at which a change may have been
+_NEVER = 1 << 30  # events
+
+
+class Watch(NamedTuple):
+    """What changes of some states, at each of some past times, would have done since.
+
+    Attributes:
+        directions: of the states, for each kind of change by 1, shape (change, state).
+        effect: on the state minus its estimate, shape (change, slot, state).
+        score: of the log-likelihood by the size of each change, shape (change, slot).
+        information: likewise, shape (change, slot).
+        ages: events since then.
+        every: events from one to the next.
+    """
+
+    directions: Float[Array, "change state"]
+    effect: Float[Array, "change slot state"]
+    score: Float[Array, "change slot"]
+    information: Float[Array, "change slot"]
+    ages: Int[Array, " slot"]
+    every: Int[Array, ""]
+
+
+class Suspected(NamedTuple):
+    """The change that explains most of what was measured.
+
+    Attributes:
+        square: its size over the deviation of that, squared; of the right model chi-square of 1.
+        which: of the changes.
+        age: events since then.
+        size: by which it changed.
+        deviation: of that.
+    """
+
+    square: Float[Array, " event"]
+    which: Int[Array, " event"]
+    age: Int[Array, " event"]
+    size: Float[Array, " event"]
+    deviation: Float[Array, " event"]
+
+
+def watching(directions: Array, every: int) -> Watch:
+    """A watch that begins."""
+    shape = (directions.shape[0], _SLOTS)
+    return Watch(
+        directions,
+        jnp.zeros((*shape, directions.shape[1])),
+        jnp.zeros(shape),
+        jnp.zeros(shape),
+        jnp.full(_SLOTS, _NEVER),
+        jnp.asarray(every),
+    )
+
+
+def _watched(
+    watch: Watch,
+    slope: Array,
+    shows: Array,
+    used: Array,
+    correction: Correction,
+    innovation: Innovation,
+) -> tuple[Watch, Suspected]:
+    """A watch after one more event, whose motion and measurements have these slopes."""
+    effect = watch.effect @ slope.T
+    off = jnp.where(used, effect @ shows.T, 0)
+    white = jax.scipy.linalg.solve_triangular(
+        correction.factor, off.reshape(-1, off.shape[-1]).T, lower=True
+    ).T.reshape(off.shape)
+    score = watch.score + white @ innovation.whitened
+    information = watch.information + jnp.sum(white**2, axis=-1)
+    effect = effect - off @ correction.gain.T
+    square = jnp.where(information > 0, score**2 / jnp.maximum(information, 1e-300), 0)
+    ages = jnp.minimum(watch.ages + 1, _NEVER)
+    which, slot = jnp.unravel_index(jnp.argmax(square), square.shape)
+    known = information[which, slot]
+    suspected = Suspected(
+        square[which, slot],
+        which,
+        ages[slot],
+        score[which, slot] / jnp.maximum(known, 1e-300),
+        1 / jnp.sqrt(jnp.maximum(known, 1e-300)),
+    )
+    # The oldest time makes room for this one.
+    fresh = (jnp.arange(_SLOTS) == jnp.argmax(ages)) & (jnp.min(ages) >= watch.every)
+    watch = watch._replace(
+        effect=jnp.where(fresh[None, :, None], watch.directions[:, None], effect),
+        score=jnp.where(fresh[None], 0, score),
+        information=jnp.where(fresh[None], 0, information),
+        ages=jnp.where(fresh, 0, ages),
+    )
+    return watch, suspected
 
 
 class Followed(NamedTuple):
-    """The state, and how many measurements of each channel were left out in a row."""
+    """The state, how many measurements of each channel were left out in a row, and a watch."""
 
     state: Gaussian
     left_out: Int[Array, " channel"]
+    watch: Watch | None = None
 
 
 class Filtered(NamedTuple):
     """Of each event: the state by all that was measured until then, and what that was beside.
 
-    `used` is which measurements counted; `left_out` is that of `Followed`.
+    `used` is which measurements counted; `left_out` is that of `Followed`, `suspected` of its watch.
     """
 
     state: Gaussian
     innovation: Innovation
     used: Bool[Array, "event channel"]
     left_out: Int[Array, "event channel"]
+    suspected: Suspected | None = None
 
 
 GATE = 5.0
@@ -68,14 +176,25 @@ _IN_A_ROW = 5  # of outliers; what goes on after that is no outlier, and the sta
 
 @program
 def filtered(
-    system: System, start: Followed, events: Events, estimated: Array, gate: Array, blind: Array
-) -> Filtered:
-    """The filter over all events; `blind`: as if each measured value were the expected one."""
+    system: System,
+    start: Followed,
+    events: Events,
+    estimated: Array,
+    gate: Array,
+    blind: Array,
+    about: tuple[Array, Array] | None = None,
+) -> tuple[Followed, Filtered]:
+    """The filter over all events: what is known after the last, and after each.
 
-    def one(before: Followed, event: Events) -> tuple[Followed, Filtered]:
-        return _one(system, before, event, estimated, gate, blind)
+    `blind`: as if each measured value were the expected one. `about`: the states before and after
+    each interval about which it is linearised; those of the filter by default.
+    """
 
-    return jax.lax.scan(one, start, events)[1]
+    def one(before: Followed, given: Any) -> tuple[Followed, Filtered]:
+        event, about = given
+        return _one(system, before, event, estimated, gate, blind, about)
+
+    return jax.lax.scan(one, start, (events, about))
 
 
 @program
@@ -83,49 +202,85 @@ def followed_by(
     system: System, before: Followed, event: Events, estimated: Array, gate: Array
 ) -> tuple[Followed, Filtered]:
     """The filter over one event."""
-    return _one(system, before, event, estimated, gate, jnp.asarray(False))
+    return _one(system, before, event, estimated, gate, jnp.asarray(False), None)
 
 
 def _one(
-    system: System, before: Followed, event: Events, estimated: Array, gate: Array, blind: Array
+    system: System,
+    before: Followed,
+    event: Events,
+    estimated: Array,
+    gate: Array,
+    blind: Array,
+    about: tuple[Array, Array] | None,
 ) -> tuple[Followed, Filtered]:
-    state, left_out = before
-    mean, slope, noise = system.moved(state.mean, event.held)
-    state = moved(state, mean, slope, noise)
-    shown, slope = system.shown(state.mean, event.held)
+    state, left_out, watch = before
+    at = None if about is None else about[0]
+    mean, motion, noise = _moved(system, state, event.held, at)
+    if event.loosened is not None:
+        noise = jnp.concatenate([noise, (motion @ event.loosened)[:, None]], axis=1)
+    state = moved(state, mean, motion, noise)
+    at = state.mean if about is None else about[1]
+    shown, slope = system.shown(at, event.held)
+    if about is not None:
+        shown = shown + slope @ (state.mean - at)
     off = jnp.where(blind, 0, event.values - shown)
     expected = jnp.sqrt(jnp.sum((slope @ state.root) ** 2, axis=1) + system.noise**2)
     near = jnp.abs(off) <= gate * expected
     used = event.there & (near | (left_out >= _IN_A_ROW))
-    state, innovation = measured(
+    state, innovation, correction = measured(
         state, off, slope, system.noise, there=event.there, used=used, estimated=estimated
     )
+    suspected = None
+    if watch is not None:
+        watch, suspected = _watched(watch, motion, slope, used, correction, innovation)
     # An outlier is as likely as one at the gate, so that nothing is gained by leaving more out.
     outside = -0.5 * gate**2 - jnp.log(expected) - 0.5 * math.log(2 * math.pi)
     likelihood = jnp.sum(jnp.where(event.there & ~used, outside, 0))
     innovation = innovation._replace(log_likelihood=innovation.log_likelihood + likelihood)
     left_out = jnp.where(event.there, jnp.where(near, 0, left_out + 1), left_out)
-    return Followed(state, left_out), Filtered(state, innovation, used, left_out)
+    found = Filtered(state, innovation, used, left_out, suspected)
+    return Followed(state, left_out, watch), found
+
+
+def _moved(
+    system: System, state: Gaussian, held: Any, at: Array | None
+) -> tuple[Array, Array, Array]:
+    """Where the mean of a state moves to, linearised there or about another state."""
+    if at is None:
+        return system.moved(state.mean, held)
+    mean, slope, noise = system.moved(at, held)
+    return mean + slope @ (state.mean - at), slope, noise
 
 
 @program
 def smoothed_states(
-    system: System, after: Gaussian, states: Gaussian, held: Any, there: Array
+    system: System,
+    after: Gaussian,
+    states: Gaussian,
+    held: Any,
+    there: Array,
+    loosened: Array | None = None,
+    about: Array | None = None,
 ) -> Gaussian:
     """The smoother over filtered states, each with the interval that follows it.
 
     `after` is the state after the last of them, by everything; of those that are not `there` it is
-    passed on.
+    passed on. `loosened` is that of the events at the end of the intervals, and `about` are the
+    states before them about which they are linearised.
     """
 
     def one(after: Gaussian, given: Any) -> tuple[Gaussian, Gaussian]:
-        before, held, there = given
-        mean, slope, noise = system.moved(before.mean, held)
+        before, held, there, loosened, about = given
+        mean, slope, noise = _moved(system, before, held, about)
+        if loosened is not None:
+            noise = jnp.concatenate([noise, (slope @ loosened)[:, None]], axis=1)
         found = smoothed(before, mean, slope, noise, after)
         found = jax.tree.map(lambda new, old: jnp.where(there, new, old), found, after)
         return found, found
 
-    return jax.lax.scan(one, after, (states, held, there), reverse=True)[1]
+    rows = (states, held, there, loosened, about)
+    return jax.lax.scan(one, after, rows, reverse=True)[1]
 
 
 @program

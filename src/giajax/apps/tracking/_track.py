@@ -3,8 +3,8 @@
 import dataclasses
 import itertools
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -29,13 +29,16 @@ from ._rounds import (
     Events,
     Filtered,
     Followed,
+    System,
+    Watch,
     filtered,
     predicted,
     rested,
     smoothed_states,
+    watching,
 )
 
-STIFFNESS_SHARE = 3e-4
+STIFFNESS_SHARE = 6e-5
 """Default of the unmodelled torque: this share of the mean stiffness, as white noise, root(s)."""
 
 _LONGEST = 0.1  # between two events, s
@@ -46,6 +49,10 @@ _DOUBLINGS = 13  # of an interval of the filter, which an arm has stood at the s
 # the start is chosen that explains them best.
 _CHUNK = 200
 _MOST = 5e7  # numbers of one kind that are kept: 0.4 GB
+CHANGED = 6.0
+"""Deviations of a change of a parameter from which on it is said to have changed."""
+EVERY = 2.0  # s from one time of a change that is thought of to the next
+_ROUNDS, _STAYS = 3, 0.02  # of linearising once more, until a parameter moves by less deviations
 # Of the state at the start: of an arm that has come to rest, and of one that starts as stated.
 _AT_REST = np.deg2rad([1.0, 0.3])
 _STATED = np.deg2rad([2.0, 1.0])
@@ -113,6 +120,25 @@ class States:
 
 
 @dataclasses.dataclass(frozen=True)
+class Change:
+    """A parameter that has changed while the arm moved.
+
+    Attributes:
+        path: of the parameter.
+        time: about when it changed, s.
+        found: at the exposure of which measurement that was seen, s.
+        size: by which it changed, SI, as seen then.
+        deviation: of that.
+    """
+
+    path: str
+    time: float
+    found: float
+    size: float
+    deviation: float
+
+
+@dataclasses.dataclass(frozen=True)
 class Track:
     """A run tracked; made by `track`.
 
@@ -137,6 +163,8 @@ class Track:
         gate: as given.
         start: what was known at the start.
         seconds: that the filter takes for an event, without compiling.
+        changes: of estimated parameters; from when one was found the filter allows for it, from
+            when it happened the smoother does.
     """
 
     run: Run
@@ -159,6 +187,7 @@ class Track:
     gate: float
     start: Gaussian
     seconds: float
+    changes: tuple[Change, ...]
 
 
 def arm_model(model: AbstractModel | FitResult) -> ArmModel:
@@ -564,6 +593,13 @@ def begun_at(
     return tracked, plan, chosen(tracked, plan, begins, fixed), fixed
 
 
+def watched_parameters(tracked: TrackedArm, unknown: Unknown) -> Array | None:
+    """Directions of the states that are estimated parameters; None where there are none."""
+    first = tracked.slices()["parameters"].start + len(unknown.considered)
+    count = len(unknown.estimated)
+    return jnp.eye(tracked.size)[first : first + count] if count else None
+
+
 def track(
     model: AbstractModel | FitResult,
     run: Run,
@@ -612,7 +648,9 @@ def track(
     say("start ...")
     tracked, plan, begun, fixed = begun_at(stated, run, noise, unknown, gate)
     say(f"filter over {len(plan.times)} times ...")
-    found, seconds = followed_through(tracked, begun, plan.events, fixed)
+    watched = watched_parameters(tracked, unknown)
+    course = watched_through(tracked, begun, plan, fixed, watched)
+    found, seconds, changes = course.rows, course.seconds, course.changes
     states = as_states(tracked, found.state)
     if not np.all(np.isfinite(states.mean)):
         raise InputError(
@@ -620,12 +658,15 @@ def track(
             "the model with the run first (giajax fit)"
         )
     say("smoother ...")
-    whole = found
-    if len(unknown.considered):
+    whole, first, every = found, begun_with(tracked, begun), (jnp.ones_like(fixed[0]), *fixed[1:])
+    if len(unknown.considered) or changes:
         # By the whole run, what is considered on the way is estimated.
-        every = (jnp.ones(tracked.size, bool), *fixed[1:])
-        whole, _ = followed_through(tracked, begun, plan.events, every)
-    after = as_states(tracked, _smoothed_through(tracked, whole.state, plan.events))
+        whole = followed_through(tracked, first, course.events, every)
+    if watched is None:
+        smooth = smoothed_once(tracked, course.events, whole)
+    else:
+        smooth, _ = linearised_again(tracked, first, course.events, every, whole, watched)
+    after = as_states(tracked, smooth)
     if not np.all(np.isfinite(after.mean)):
         raise InputError(
             f"the smoother of '{run.name}' is not finite: allow more unmodelled torque, or compare "
@@ -658,6 +699,7 @@ def track(
         gate=gate,
         start=begun,
         seconds=seconds,
+        changes=changes,
     )
 
 
@@ -671,70 +713,196 @@ def _correlated(run: Run, names: Sequence[str]) -> list[Bias]:
     return found
 
 
-def _fresh(start: Gaussian, names: Sequence[str]) -> Followed:
-    return Followed(start, jnp.zeros(len(names), int))
-
-
 def chosen(
     tracked: TrackedArm, plan: Plan, begins: Sequence[Gaussian], fixed: Sequence[Any]
 ) -> Gaussian:
     """The start that explains the first measurements best."""
-    first = next(_chunks(plan.events))[0]
+    size = min(_CHUNK, len(plan.times))
     best, most = begins[0], -np.inf
     for start in begins:
-        found = filtered(tracked, _fresh(start, tracked.channels), first, *fixed)
-        likely = float(jnp.sum(found.innovation.log_likelihood))
+        _, found = filtered(
+            tracked, begun_with(tracked, start), _some(plan.events, 0, size), *fixed
+        )
+        likely = float(jnp.sum(found.innovation.log_likelihood[:size]))
         if likely > most:
             best, most = start, likely
     return best
 
 
-def _chunks(events: Any, *, back: bool = False) -> Iterator[tuple[Any, int]]:
-    """As many events at once, the last ones repeated at the end, and how many there are."""
-    count = len(jax.tree.leaves(events)[0])
-    begins = range(0, count, _CHUNK)
-    for begin in reversed(begins) if back else begins:
-        size = min(_CHUNK, count - begin)
-        at = np.minimum(np.arange(begin, begin + _CHUNK), count - 1)
-        yield jax.tree.map(lambda leaf, at=at: leaf[at], events), size
+def begun_with(system: System, start: Gaussian, watch: Watch | None = None) -> Followed:
+    """A filter that begins."""
+    return Followed(start, jnp.zeros(system.noise.shape[0], int), watch)
+
+
+def _some(rows: Any, begin: int, size: int) -> Any:
+    """As many rows as of each call; after `size` of them the last one is repeated."""
+    at = np.minimum(np.arange(begin, begin + _CHUNK), begin + size - 1)
+    return jax.tree.map(lambda leaf: leaf[at], rows)
+
+
+def _first(rows: Any, size: int) -> Any:
+    return jax.tree.map(lambda leaf: leaf[:size], rows)
+
+
+def _row(rows: Any, index: int) -> Any:
+    return jax.tree.map(lambda leaf: leaf[index], rows)
+
+
+def _joined(parts: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
 def followed_through(
-    tracked: TrackedArm, start: Gaussian, events: Events, fixed: Sequence[Any]
-) -> tuple[Filtered, float]:
-    """The filter over all events, and how long it takes for each, s."""
-    parts, state, seconds = [], _fresh(start, tracked.channels), []
-    for chunk, size in _chunks(events):
+    system: System,
+    followed: Followed,
+    events: Events,
+    fixed: Sequence[Any],
+    about: tuple[Array, Array] | None = None,
+) -> Filtered:
+    """The filter over all events, without looking for changes."""
+    parts = []
+    count = len(events.values)
+    for begin in range(0, count, _CHUNK):
+        size = min(_CHUNK, count - begin)
+        some = _some((events, about), begin, size)
+        followed, found = filtered(system, followed, some[0], *fixed, some[1])
+        parts.append(_first(found, size))
+    rows: Filtered = _joined(parts)
+    return rows
+
+
+class Course(NamedTuple):
+    """What `watched_through` finds: a row for each event, s for each, changes, and events in which
+    they are allowed for."""
+
+    rows: Filtered
+    seconds: float
+    changes: tuple[Change, ...]
+    events: Events
+
+
+def watched_through(
+    tracked: TrackedArm,
+    start: Gaussian,
+    plan: Plan,
+    fixed: Sequence[Any],
+    directions: Array | None,
+) -> Course:
+    """The filter over all events; where a parameter has changed, it goes back to when it did.
+
+    From that time on it follows the arm once more with a parameter that is as uncertain as at the
+    start. States from then to when that was found stay as they were known.
+    """
+    times, events, count = plan.times, plan.events, len(plan.times)
+    watch = None
+    if directions is not None:
+        events = events._replace(loosened=jnp.zeros((count, tracked.size)))
+        interval = float(np.median(np.diff(times))) if count > 1 else _LONGEST
+        watch = watching(directions, max(round(EVERY / interval), 1))
+    parts: list[Filtered] = []
+    changes: list[Change] = []
+    seconds = []
+    followed, begin = begun_with(tracked, start, watch), 0
+    while begin < count:
+        size = min(_CHUNK, count - begin)
         begun = clock.perf_counter()
-        found = jax.block_until_ready(filtered(tracked, state, chunk, *fixed))
+        last, found = jax.block_until_ready(
+            filtered(tracked, followed, _some(events, begin, size), *fixed)
+        )
         seconds.append((clock.perf_counter() - begun) / _CHUNK)
-        parts.append(jax.tree.map(lambda leaf, size=size: leaf[:size], found))
-        last: Any = jax.tree.map(lambda leaf: leaf[-1], parts[-1])
-        state = Followed(last.state, last.left_out)
-    whole: Filtered = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-    return whole, min(seconds)
+        suspected = found.suspected
+        far = [] if suspected is None else np.flatnonzero(suspected.square[:size] > CHANGED**2)
+        if suspected is None or not len(far):
+            parts.append(_first(found, size))
+            followed, begin = last, begin + size
+            continue
+        at = int(far[0])
+        parts.append(_first(found, at + 1))
+        end = begin + at
+        since = max(end - int(suspected.age[at]), 0)
+        index = int(jnp.argmax(directions[int(suspected.which[at])]))  # type: ignore[index]
+        changes.append(
+            Change(
+                tracked.paths[index - tracked.slices()["parameters"].start],
+                float(times[since]),
+                float(times[end]),
+                float(suspected.size[at]),
+                float(suspected.deviation[at]),
+            )
+        )
+        loose = jnp.linalg.norm(start.root[index])
+        assert events.loosened is not None
+        events = events._replace(loosened=events.loosened.at[since + 1, index].set(loose))
+        rows = _joined(parts)
+        parts = [rows]
+        known = _row(rows, since)
+        again = Followed(known.state, known.left_out)
+        between = jax.tree.map(lambda leaf, a=since + 1, b=end + 1: leaf[a:b], events)
+        known = _row(followed_through(tracked, again, between, fixed), -1)
+        followed, begin = Followed(known.state, known.left_out, watch), end + 1
+    return Course(_joined(parts), min(seconds), tuple(changes), events)
 
 
-def _smoothed_through(tracked: TrackedArm, states: Gaussian, events: Events) -> Gaussian:
-    after: Any = jax.tree.map(lambda leaf: leaf[-1], states)
+def smoothed_once(
+    system: System,
+    events: Events,
+    rows: Filtered,
+    about: tuple[Array, Array] | None = None,
+) -> Gaussian:
+    """The smoother over all events, by the filter's rows."""
+    after: Any = _row(rows.state, -1)
     parts: list[Gaussian] = [jax.tree.map(lambda leaf: leaf[None], after)]
-    before = jax.tree.map(lambda leaf: leaf[:-1], states)
+    nominal = None if about is None else about[0][1:]
+    loosened = None if events.loosened is None else events.loosened[1:]
+    before = _first(rows.state, -1)
     held = jax.tree.map(lambda leaf: leaf[1:], events.held)
-    for (chunk, later), size in _chunks((before, held), back=True):
+    given = (before, held, loosened, nominal)
+    count = len(before.mean)
+    for begin in reversed(range(0, count, _CHUNK)):
+        size = min(_CHUNK, count - begin)
+        states, later, loose, at = _some(given, begin, size)
         there = jnp.arange(_CHUNK) < size
-        found = smoothed_states(tracked, after, chunk, later, there)
-        after = jax.tree.map(lambda leaf: leaf[0], found)
-        parts.append(jax.tree.map(lambda leaf, size=size: leaf[:size], found))
-    whole: Gaussian = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts[::-1])
+        found = smoothed_states(system, after, states, later, there, loose, at)
+        after = _row(found, 0)
+        parts.append(_first(found, size))
+    whole: Gaussian = _joined(parts[::-1])
     return whole
 
 
+def linearised_again(
+    system: System,
+    start: Followed,
+    events: Events,
+    fixed: Sequence[Any],
+    rows: Filtered,
+    directions: Array,
+) -> tuple[Gaussian, Filtered]:
+    """Smoothed and filtered states, linearised about the smoothed ones until these stay.
+
+    `directions`: of the states that are to stay.
+    """
+    smooth = smoothed_once(system, events, rows)
+    for _ in range(_ROUNDS):
+        mean = smooth.mean
+        about = (jnp.concatenate([mean[:1], mean[:-1]]), mean)
+        again = followed_through(system, start, events, fixed, about)
+        better = smoothed_once(system, events, again, about)
+        if not np.all(np.isfinite(better.mean)):
+            break
+        far = jnp.abs((better.mean - smooth.mean) @ directions.T)
+        smooth, rows = better, again
+        if jnp.all(far < _STAYS * jnp.linalg.norm(directions @ better.root, axis=-1)):
+            break
+    return smooth, rows
+
+
 def _of_each(function: Callable[..., Any], tracked: TrackedArm, rows: Any) -> Any:
-    parts = [
-        jax.tree.map(lambda leaf, size=size: leaf[:size], function(tracked, *chunk))
-        for chunk, size in _chunks(rows)
-    ]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    count = len(jax.tree.leaves(rows)[0])
+    parts = []
+    for begin in range(0, count, _CHUNK):
+        size = min(_CHUNK, count - begin)
+        parts.append(_first(function(tracked, *_some(rows, begin, size)), size))
+    return _joined(parts)
 
 
 def _ahead(tracked: TrackedArm, plan: Plan, states: Gaussian, late: float) -> Gaussian:

@@ -4,6 +4,7 @@ import bisect
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, NamedTuple, TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -14,17 +15,33 @@ from ...runtime.arrays import Array
 from ...runtime.text import InputError
 from ._arm import Held, TrackedArm, tracked_arm
 from ._filter import Gaussian
-from ._rounds import GATE, Events, Filtered, Followed, System, followed_by
+from ._rounds import (
+    GATE,
+    Events,
+    Filtered,
+    Followed,
+    Suspected,
+    System,
+    Watch,
+    followed_by,
+    watching,
+)
 from ._track import (
+    CHANGED,
+    EVERY,
     SHORT,
+    Change,
     States,
     Unknown,
     arm_model,
     as_states,
+    begun_with,
     delays_of,
     estimated_states,
+    linearised_again,
     starts,
     usual_torque,
+    watched_parameters,
     with_errors_of,
 )
 
@@ -40,12 +57,20 @@ class _Clone(NamedTuple):
     found: Filtered | None
 
 
+_WINDOW = 60.0  # s, in which a parameter that is estimated may have changed
+_FIRST_PAUSE = 10.0  # s, before what is kept is linearised once more; then twice as long
+
+
 class DelayedFilter(Generic[Kept]):
     """Clones of past states, of which a late measurement updates the one of its time.
 
     A measurement that is older than the last one goes to where it belongs: the state of that time
     is updated by it, and what was measured since then once more. So the state is what it would be
     had all measurements come in the order of their times.
+
+    Where states are watched, a change of one is looked for, too; from when it happened the filter
+    goes on with that state as uncertain as at the start. And what is kept is linearised once more,
+    about the smoothed states, after 10 s, 20 s, 40 s and so on.
 
     Arguments:
         system: what is tracked.
@@ -56,6 +81,7 @@ class DelayedFilter(Generic[Kept]):
         history: how long states are kept, s; what comes later than that is lost.
         gate: deviations; a measurement that is farther off does not count.
         estimated: which states measurements change; all by default.
+        watched: directions of the states that may change, shape (change, state); None: none does.
     """
 
     def __init__(
@@ -69,17 +95,22 @@ class DelayedFilter(Generic[Kept]):
         history: float = 5.0,
         gate: float = GATE,
         estimated: Array | None = None,
+        watched: Array | None = None,
     ) -> None:
         self.system = system
         self.lost = 0
+        self.changes: list[tuple[float, float, Suspected]] = []
         self._interval = interval
         self._longest, self._history = longest, history
         self._gate = jnp.asarray(gate, float)
         states = start.mean.shape[0]
         self._estimated = jnp.ones(states, bool) if estimated is None else estimated
-        channels = system.noise.shape[0]
-        self._nothing = np.full(channels, np.nan)
-        begun = Followed(start, jnp.zeros(channels, int))
+        self._nothing = np.full(system.noise.shape[0], np.nan)
+        self._watched, self._begun = watched, start
+        self._still = None if watched is None else jnp.zeros(states)
+        self._pause = _FIRST_PAUSE
+        self._again = time + self._pause
+        begun = begun_with(system, start, self._watch(longest))
         self._clones = [_Clone(time, self._event(time, time + longest, self._nothing), begun, None)]
 
     @property
@@ -124,9 +155,9 @@ class DelayedFilter(Generic[Kept]):
         later = self._clones[place:]
         del self._clones[place:]
         self._go_on(time, values)
-        for clone in later:
-            known = np.where(np.asarray(clone.event.there), clone.event.values, np.nan)
-            self._go_on(clone.time, known)
+        self._repeat(later)
+        if self._watched is not None:
+            self._look(self._watched)
         self._forget()
         return True
 
@@ -147,14 +178,66 @@ class DelayedFilter(Generic[Kept]):
             begin = end
         return followed.state
 
-    def _go_on(self, time: float, values: np.ndarray) -> None:
+    def _go_on(self, time: float, values: np.ndarray, loosened: Array | None = None) -> None:
         begin = self._clones[-1].time
         ends = self._ends(begin, time)
         for end in ends:
             event = self._event(begin, end, values if end == ends[-1] else self._nothing)
+            if loosened is not None and end == ends[0]:
+                event = event._replace(loosened=loosened)
             followed, found = self._after(self._clones[-1].followed, event)
             self._clones.append(_Clone(end, event, followed, found))
             begin = end
+
+    def _repeat(self, clones: list[_Clone]) -> None:
+        """What was measured then, once more."""
+        for clone in clones:
+            known = np.where(np.asarray(clone.event.there), clone.event.values, np.nan)
+            self._go_on(clone.time, known, clone.event.loosened)
+
+    def _watch(self, interval: float) -> Watch | None:
+        if self._watched is None:
+            return None
+        return watching(self._watched, max(round(EVERY / interval), 1))
+
+    def _look(self, watched: Array) -> None:
+        """Whether a state has changed, and whether it is time to linearise once more."""
+        found = self._clones[-1].found
+        suspected = None if found is None else found.suspected
+        if suspected is not None and float(suspected.square) > CHANGED**2:
+            since = max(len(self._clones) - 1 - int(suspected.age), 0)
+            clone, later = self._clones[since], self._clones[since + 1 :]
+            self.changes.append((clone.time, self.time, suspected))
+            direction = watched[int(suspected.which)]
+            loose = direction * jnp.linalg.norm(direction @ self._begun.root)
+            interval = float(np.median(np.diff([each.time for each in self._clones])))
+            fresh = clone.followed._replace(watch=self._watch(interval))
+            self._clones[since:] = [clone._replace(followed=fresh)]
+            first = later[0]
+            self._repeat([first._replace(event=first.event._replace(loosened=loose)), *later[1:]])
+            self._pause = _FIRST_PAUSE
+            self._again = self.time + self._pause
+        elif self.time >= self._again:
+            self._pause *= 2
+            self._again = self.time + self._pause
+            self._linearise(watched)
+
+    def _linearise(self, watched: Array) -> None:
+        """What is kept once more, about its smoothed states."""
+        kept = self._clones[1:]
+        if len(kept) < 2:
+            return
+        start = begun_with(self.system, self._clones[0].followed.state)
+        events: Events = _stacked([clone.event for clone in kept])
+        rows: Filtered = _stacked([clone.found for clone in kept])
+        fixed = (self._estimated, self._gate, jnp.asarray(False))
+        _, rows = linearised_again(self.system, start, events, fixed, rows, watched)
+        mean, root = np.asarray(rows.state.mean), np.asarray(rows.state.root)
+        left_out = np.asarray(rows.left_out)
+        for index, clone in enumerate(kept):
+            state: Any = Gaussian(mean[index], root[index])
+            followed = clone.followed._replace(state=state, left_out=left_out[index])
+            self._clones[index + 1] = clone._replace(followed=followed)
 
     def _ends(self, begin: float, end: float) -> list[float]:
         count = max(int(np.ceil((end - begin) / self._longest - 1e-9)), 1)
@@ -166,6 +249,7 @@ class DelayedFilter(Generic[Kept]):
             self._interval(begin, end),
             jnp.asarray(np.where(there, values, 0.0)),
             jnp.asarray(there),
+            self._still,
         )
 
     def _after(self, before: Followed, event: Events) -> tuple[Followed, Filtered]:
@@ -175,6 +259,11 @@ class DelayedFilter(Generic[Kept]):
         old = self.time - self._history
         times = [clone.time for clone in self._clones]
         del self._clones[: max(bisect.bisect_right(times, old) - 1, 0)]
+
+
+def _stacked(rows: list[Any]) -> Any:
+    # By numpy: hundreds of small arrays are slow in JAX.
+    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *rows)
 
 
 class _Initial(NamedTuple):
@@ -196,7 +285,7 @@ class Tracker:
         command: commanded angles then, rad, shape (joint,); 0 by default.
         angles, rates: of the joints then, rad and rad/s; without angles the arm has come to rest
             in its wind.
-        history: how late a row may be, s.
+        history: how late a row may be, s; 60 at least where parameters are estimated.
         gate: deviations; a measurement that is farther off does not count.
 
     Raises:
@@ -246,8 +335,10 @@ class Tracker:
         count = self.arm.joints
         rest = np.zeros(count)
         first = rest if command is None else _row("command", command, count)
+        self._free = len(given.estimated)
         self._knots = [float(time)]
         self._commands = [first]
+        history = max(history, _WINDOW) if given.estimated else history
         self._history = history
         initial = _Initial(
             rest if angles is None else _row("angles", angles, count),
@@ -265,6 +356,7 @@ class Tracker:
             history=history,
             gate=gate,
             estimated=estimated_states(self.arm, given),
+            watched=watched_parameters(self.arm, given),
         )
 
     def update(self, row: Mapping[str, float]) -> States:
@@ -322,6 +414,15 @@ class Tracker:
         """
         ahead = max(self._knots[-1], self.filter.time) if time is None else float(time)
         return self._states(self.filter.ahead(ahead))
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Estimated parameters that have changed."""
+        paths = self.arm.paths[len(self.arm.paths) - self._free :]
+        return tuple(
+            Change(paths[int(found.which)], time, seen, float(found.size), float(found.deviation))
+            for time, seen, found in self.filter.changes
+        )
 
     @property
     def innovation(self) -> np.ndarray:

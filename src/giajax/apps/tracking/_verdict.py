@@ -22,6 +22,7 @@ from ._track import (
     Unknown,
     arm_model,
     begun_at,
+    begun_with,
     followed_through,
     noise_of,
     with_errors_of,
@@ -153,7 +154,7 @@ def judge(
         try:
             given = (other, short, noise or found.noise, unknown, found.gate, same)
             tracked, plan, start, fixed = begun_at(*given)
-            rows, _ = followed_through(tracked, start, plan.events, fixed)
+            rows = followed_through(tracked, begun_with(tracked, start), plan.events, fixed)
         except InputError:
             return -np.inf
         total = float(np.sum(np.asarray(rows.innovation.log_likelihood)))
@@ -343,7 +344,8 @@ def unseen(
     noise = noise_of(run, names, result)
     tracked, plan, start, (_, gate, _) = begun_at(stated, _first_rows(run), noise, given, GATE)
     every = jnp.ones(tracked.size, bool)
-    rows, _ = followed_through(tracked, start, plan.events, (every, gate, jnp.asarray(True)))
+    fixed = (every, gate, jnp.asarray(True))
+    rows = followed_through(tracked, begun_with(tracked, start), plan.events, fixed)
     before = np.sqrt(np.sum(np.asarray(start.root) ** 2, axis=1))
     after = np.sqrt(np.sum(np.asarray(rows.state.root[-1]) ** 2, axis=1))
     return [
