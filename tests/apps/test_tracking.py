@@ -195,7 +195,8 @@ def test_a_bias_is_found_outliers_do_not_count_and_what_is_not_seen_is_named(mod
 def test_what_channels_do_not_show_is_named_before_anything_is_measured(model):
     run, *_ = recorded(model.arm)
     # A bias of the camera is not seen where only the command says where the tip is.
-    unknown = Unknown(biases=(Bias(("tip_x",), 1e-4), Bias(("tip_y",), 0.1)))
+    biases = (Bias(("tip_x",), 1e-4), Bias(("tip_y",), 0.1))
+    unknown = Unknown(biases=biases, torque=1e-2)
     hidden = unseen(model, run, unknown=unknown)
     assert [name for name, _, _ in hidden] == ["bias 1"]
     before, after = hidden[0][1:]

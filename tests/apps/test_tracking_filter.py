@@ -20,6 +20,7 @@ from giajax.apps.tracking import (
     Events,
     Followed,
     Gaussian,
+    Motion,
     filtered,
     moved,
     predicted,
@@ -179,9 +180,10 @@ def test_filter_smoother_and_prediction_are_those_of_filterpy(masses):
     kalman = KalmanFilter(2 * masses, len(chain.noise))
     smooth, spread, *_ = kalman.rts_smoother(means, covariances, transitions, added)
     # What follows the last state is not there.
-    there, held = jnp.arange(40) < 39, stacked([*intervals[1:], intervals[0]])
+    there, later = jnp.arange(40) < 39, jnp.roll(jnp.arange(40), -1)
     last = jax.tree.map(lambda leaf: leaf[-1], found.state)
-    states = smoothed_states(chain, last, found.state, held, there)
+    motions = jax.tree.map(lambda leaf: leaf[later], found.motion)
+    states = smoothed_states(last, found.state, motions, there)
     assert far_off(states, smooth, spread) < 1e-8
 
     # From each of two states on, over other intervals.
@@ -284,7 +286,7 @@ def last_states(chain, start, events, measured):
     def one(values):
         every = jnp.ones(len(start.mean), bool)
         given = events._replace(values=values)
-        found = filtered(chain, begun(chain, start), given, every, jnp.asarray(jnp.inf), False)
+        _, found = filtered(chain, begun(chain, start), given, every, jnp.asarray(jnp.inf), False)
         return jax.tree.map(lambda leaf: leaf[-1], found.state)
 
     return jax.vmap(one)(measured)
@@ -377,7 +379,7 @@ def test_rest_is_many_intervals_at_once():
     chain = chain_of(3)
     held = chain.interval(0.03)
     start = start_of(chain, np.random.default_rng(9))
-    found = rested(chain, start, held, 6)
+    found = rested(start, Motion(*chain.moved(start.mean, held)), 6)
     state = start
     for _ in range(2**6):
         state = moved(state, *chain.moved(state.mean, held))

@@ -155,13 +155,23 @@ class Followed(NamedTuple):
     watch: Watch | None = None
 
 
+class Motion(NamedTuple):
+    """Of each interval: where the mean moves to, its slope by the state before, added noise."""
+
+    mean: Float[Array, "event state"]
+    slope: Float[Array, "event state state"]
+    noise: Float[Array, "event state noise"]
+
+
 class Filtered(NamedTuple):
     """Of each event: the state by all that was measured until then, and what that was beside.
 
-    `used` is which measurements counted; `left_out` is that of `Followed`, `suspected` of its watch.
+    `motion` is that of the interval before it, `used` is which measurements counted; `left_out` is
+    that of `Followed`, and `suspected` is of its watch.
     """
 
     state: Gaussian
+    motion: Motion
     innovation: Innovation
     used: Bool[Array, "event channel"]
     left_out: Int[Array, "event channel"]
@@ -187,7 +197,8 @@ def filtered(
     """The filter over all events: what is known after the last, and after each.
 
     `blind`: as if each measured value were the expected one. `about`: the states before and after
-    each interval about which it is linearised; those of the filter by default.
+    each interval about which it is linearised, shapes (event, state); where they are NaN, and by
+    default, those of the filter.
     """
 
     def one(before: Followed, given: Any) -> tuple[Followed, Filtered]:
@@ -215,15 +226,15 @@ def _one(
     about: tuple[Array, Array] | None,
 ) -> tuple[Followed, Filtered]:
     state, left_out, watch = before
-    at = None if about is None else about[0]
-    mean, motion, noise = _moved(system, state, event.held, at)
+    at = state.mean if about is None else jnp.where(jnp.isfinite(about[0]), about[0], state.mean)
+    mean, slope, noise = system.moved(at, event.held)
     if event.loosened is not None:
-        noise = jnp.concatenate([noise, (motion @ event.loosened)[:, None]], axis=1)
-    state = moved(state, mean, motion, noise)
-    at = state.mean if about is None else about[1]
+        noise = jnp.concatenate([noise, (slope @ event.loosened)[:, None]], axis=1)
+    motion = Motion(mean + slope @ (state.mean - at), slope, noise)
+    state = moved(state, *motion)
+    at = state.mean if about is None else jnp.where(jnp.isfinite(about[1]), about[1], state.mean)
     shown, slope = system.shown(at, event.held)
-    if about is not None:
-        shown = shown + slope @ (state.mean - at)
+    shown = shown + slope @ (state.mean - at)
     off = jnp.where(blind, 0, event.values - shown)
     expected = jnp.sqrt(jnp.sum((slope @ state.root) ** 2, axis=1) + system.noise**2)
     near = jnp.abs(off) <= gate * expected
@@ -233,54 +244,31 @@ def _one(
     )
     suspected = None
     if watch is not None:
-        watch, suspected = _watched(watch, motion, slope, used, correction, innovation)
+        watch, suspected = _watched(watch, motion.slope, slope, used, correction, innovation)
     # An outlier is as likely as one at the gate, so that nothing is gained by leaving more out.
     outside = -0.5 * gate**2 - jnp.log(expected) - 0.5 * math.log(2 * math.pi)
     likelihood = jnp.sum(jnp.where(event.there & ~used, outside, 0))
     innovation = innovation._replace(log_likelihood=innovation.log_likelihood + likelihood)
     left_out = jnp.where(event.there, jnp.where(near, 0, left_out + 1), left_out)
-    found = Filtered(state, innovation, used, left_out, suspected)
+    found = Filtered(state, motion, innovation, used, left_out, suspected)
     return Followed(state, left_out, watch), found
 
 
-def _moved(
-    system: System, state: Gaussian, held: Any, at: Array | None
-) -> tuple[Array, Array, Array]:
-    """Where the mean of a state moves to, linearised there or about another state."""
-    if at is None:
-        return system.moved(state.mean, held)
-    mean, slope, noise = system.moved(at, held)
-    return mean + slope @ (state.mean - at), slope, noise
-
-
 @program
-def smoothed_states(
-    system: System,
-    after: Gaussian,
-    states: Gaussian,
-    held: Any,
-    there: Array,
-    loosened: Array | None = None,
-    about: Array | None = None,
-) -> Gaussian:
-    """The smoother over filtered states, each with the interval that follows it.
+def smoothed_states(after: Gaussian, states: Gaussian, motions: Motion, there: Array) -> Gaussian:
+    """The smoother over filtered states, each with the motion that follows it.
 
     `after` is the state after the last of them, by everything; of those that are not `there` it is
-    passed on. `loosened` is that of the events at the end of the intervals, and `about` are the
-    states before them about which they are linearised.
+    passed on.
     """
 
     def one(after: Gaussian, given: Any) -> tuple[Gaussian, Gaussian]:
-        before, held, there, loosened, about = given
-        mean, slope, noise = _moved(system, before, held, about)
-        if loosened is not None:
-            noise = jnp.concatenate([noise, (slope @ loosened)[:, None]], axis=1)
-        found = smoothed(before, mean, slope, noise, after)
+        before, motion, there = given
+        found = smoothed(before, motion.mean, motion.slope, motion.noise, after)
         found = jax.tree.map(lambda new, old: jnp.where(there, new, old), found, after)
         return found, found
 
-    rows = (states, held, there, loosened, about)
-    return jax.lax.scan(one, after, rows, reverse=True)[1]
+    return jax.lax.scan(one, after, (states, motions, there), reverse=True)[1]
 
 
 @program
@@ -303,14 +291,16 @@ def predicted(system: System, states: Gaussian, held: Any) -> Gaussian:
 
 
 @program
-def rested(system: System, start: Gaussian, held: Any, doublings: int) -> Gaussian:
+def rested(start: Gaussian, motion: Motion, doublings: int) -> Gaussian:
     """What is known of what has stood for 2^doublings intervals where it rests.
 
     By the derivatives there: the covariance of a sum of so many intervals, in so many products.
     """
-    _, slope, noise = system.moved(start.mean, held)
-    added = root_of_sum(noise)
-    for _ in range(doublings):
-        added = root_of_sum(slope @ added, added)
-        slope = slope @ slope
+
+    def twice(_: int, both: tuple[Array, Array]) -> tuple[Array, Array]:
+        slope, added = both
+        return slope @ slope, root_of_sum(slope @ added, added)
+
+    begun = (motion.slope, root_of_sum(motion.noise))
+    slope, added = jax.lax.fori_loop(0, doublings, twice, begun)
     return Gaussian(start.mean, root_of_sum(slope @ start.root, added))

@@ -29,6 +29,7 @@ from ._rounds import (
     Events,
     Filtered,
     Followed,
+    Motion,
     System,
     Watch,
     filtered,
@@ -45,9 +46,9 @@ _LONGEST = 0.1  # between two events, s
 SHORT = 1e-9  # the interval before the first event, s, by which slopes are divided
 _AHEAD = 0.25  # of an interval in which nothing is measured, s
 _DOUBLINGS = 13  # of an interval of the filter, which an arm has stood at the start: 14 minutes
-# Events of one call, so that runs of every length have the same programs; after the first of them
-# the start is chosen that explains them best.
-_CHUNK = 200
+# Events of one call, so that runs of every length have the same programs; after some of them the
+# start is chosen that explains them best.
+_CHUNK, _DECIDES = 100, 200
 _MOST = 5e7  # numbers of one kind that are kept: 0.4 GB
 CHANGED = 6.0
 """Deviations of a change of a parameter from which on it is said to have changed."""
@@ -395,12 +396,13 @@ def starts(
     held: Held,
     unknown: Unknown,
     stated: Any,
+    motion: Callable[[Gaussian, Held], Motion],
     rest: Sequence[bool] = (False, True),
 ) -> list[Gaussian]:
     """What may be known of the arm at the start, of which `held` is the first interval.
 
     It starts as stated, or has come to rest long ago; and the mean flow is what it is guessed to
-    be, or the opposite of it, about which drag has another slope.
+    be, or the opposite of it, about which drag has another slope. `motion` is that of a state.
     """
     where, air = tracked.slices(), unknown.air
     flows = [None] if air is None else [air.wind.mean, -air.wind.mean]
@@ -446,7 +448,7 @@ def starts(
             start = Gaussian(jnp.asarray(begun), jnp.asarray(root_of))
             if rests:
                 often = held._replace(length=jnp.asarray(_LONGEST, float))
-                start = rested(tracked, start, often, _DOUBLINGS)
+                start = rested(start, motion(start, often), _DOUBLINGS)
                 size_of = float(jnp.max(start.deviations[: tracked.joints]))
                 if not size_of < np.pi:  # no rest that it stays at
                     continue
@@ -543,7 +545,20 @@ def estimated_states(tracked: TrackedArm, unknown: Unknown) -> Array:
     return jnp.asarray((places < 0) | (places >= len(unknown.considered)))
 
 
-Fixed = tuple[Array, Array, Array]
+class Settings(NamedTuple):
+    """Of the filter over a run.
+
+    Attributes:
+        estimated: which states measurements change.
+        gate: deviations; a measurement that is farther off does not count.
+        blind: whether each measured value is taken to be the expected one.
+        watch: for changes of parameters; None where none is estimated.
+    """
+
+    estimated: Array
+    gate: Array
+    blind: Array
+    watch: Watch | None
 
 
 def begun_at(
@@ -553,7 +568,7 @@ def begun_at(
     unknown: Unknown,
     gate: float,
     start: Gaussian | None = None,
-) -> tuple[TrackedArm, Plan, Gaussian, Fixed]:
+) -> tuple[TrackedArm, Plan, Gaussian, Settings]:
     """What is tracked, its events, the start that explains the first ones best, and settings.
 
     A `start` that is given is taken.
@@ -585,12 +600,27 @@ def begun_at(
             f"'{run.name}' has {len(plan.times)} times with {tracked.size} states each, more than "
             "are kept: cut it into several runs"
         )
-    fixed = (estimated_states(tracked, unknown), jnp.asarray(gate, float), jnp.asarray(False))
+    watch = None
+    if (directions := watched_parameters(tracked, unknown)) is not None:
+        loosened = jnp.zeros((len(plan.times), tracked.size))
+        plan = dataclasses.replace(plan, events=plan.events._replace(loosened=loosened))
+        interval = float(np.median(np.diff(plan.times)))
+        watch = watching(directions, max(round(EVERY / interval), 1))
+    estimated = estimated_states(tracked, unknown)
+    settings = Settings(estimated, jnp.asarray(gate, float), jnp.asarray(False), watch)
     if start is not None:
-        return tracked, plan, start, fixed
-    first: Any = jax.tree.map(lambda leaf: leaf[0], plan.events.held)
-    begins = starts(tracked, first, unknown, model.prepare(run).initial)
-    return tracked, plan, chosen(tracked, plan, begins, fixed), fixed
+        return tracked, plan, start, settings
+    nothing = plan.events._replace(there=jnp.zeros_like(plan.events.there))
+
+    def motion(start: Gaussian, held: Held) -> Motion:
+        rows = jax.tree.map(lambda leaf, all: jnp.broadcast_to(leaf, all.shape), held, nothing.held)
+        events = nothing._replace(held=rows)
+        found: Motion = _row(followed_through(tracked, start, events, settings, last=1).motion, 0)
+        return found
+
+    first: Any = _row(plan.events.held, 0)
+    begins = starts(tracked, first, unknown, model.prepare(run).initial, motion)
+    return tracked, plan, chosen(tracked, plan, begins, settings), settings
 
 
 def watched_parameters(tracked: TrackedArm, unknown: Unknown) -> Array | None:
@@ -646,11 +676,10 @@ def track(
         )
     noise = noise_of(run, names, result)
     say("start ...")
-    tracked, plan, begun, fixed = begun_at(stated, run, noise, unknown, gate)
+    tracked, plan, begun, settings = begun_at(stated, run, noise, unknown, gate)
     say(f"filter over {len(plan.times)} times ...")
-    watched = watched_parameters(tracked, unknown)
-    course = watched_through(tracked, begun, plan, fixed, watched)
-    found, seconds, changes = course.rows, course.seconds, course.changes
+    course = watched_through(tracked, begun, plan, settings)
+    found = course.rows
     states = as_states(tracked, found.state)
     if not np.all(np.isfinite(states.mean)):
         raise InputError(
@@ -658,14 +687,11 @@ def track(
             "the model with the run first (giajax fit)"
         )
     say("smoother ...")
-    whole, first, every = found, begun_with(tracked, begun), (jnp.ones_like(fixed[0]), *fixed[1:])
-    if len(unknown.considered) or changes:
+    every = settings._replace(estimated=jnp.ones_like(settings.estimated))
+    if len(unknown.considered) or course.changes:
         # By the whole run, what is considered on the way is estimated.
-        whole = followed_through(tracked, first, course.events, every)
-    if watched is None:
-        smooth = smoothed_once(tracked, course.events, whole)
-    else:
-        smooth, _ = linearised_again(tracked, first, course.events, every, whole, watched)
+        found = followed_through(tracked, begun, course.events, every)
+    smooth, _ = linearised_again(tracked, begun, course.events, every, found)
     after = as_states(tracked, smooth)
     if not np.all(np.isfinite(after.mean)):
         raise InputError(
@@ -676,8 +702,9 @@ def track(
     now, now_times = None, plan.times
     if late > 0:
         say("what is known in time ...")
-        now = as_states(tracked, _ahead(tracked, plan, found.state, late))
+        now = as_states(tracked, _ahead(tracked, plan, course.rows.state, late))
         now_times = plan.times + late
+    seen = course.rows.innovation
     return Track(
         run=run,
         arm=tracked,
@@ -689,17 +716,17 @@ def track(
         now_times=now_times,
         latency=latency,
         there=np.asarray(plan.events.there),
-        used=np.asarray(found.used),
-        off=np.asarray(found.innovation.off),
-        expected=np.asarray(found.innovation.deviations),
-        whitened=np.asarray(found.innovation.whitened),
-        nis=np.asarray(found.innovation.nis),
-        log_likelihood=np.asarray(found.innovation.log_likelihood),
+        used=np.asarray(course.rows.used),
+        off=np.asarray(seen.off),
+        expected=np.asarray(seen.deviations),
+        whitened=np.asarray(seen.whitened),
+        nis=np.asarray(seen.nis),
+        log_likelihood=np.asarray(seen.log_likelihood),
         noise=noise,
         gate=gate,
         start=begun,
-        seconds=seconds,
-        changes=changes,
+        seconds=course.seconds,
+        changes=course.changes,
     )
 
 
@@ -714,16 +741,14 @@ def _correlated(run: Run, names: Sequence[str]) -> list[Bias]:
 
 
 def chosen(
-    tracked: TrackedArm, plan: Plan, begins: Sequence[Gaussian], fixed: Sequence[Any]
+    tracked: TrackedArm, plan: Plan, begins: Sequence[Gaussian], settings: Settings
 ) -> Gaussian:
     """The start that explains the first measurements best."""
-    size = min(_CHUNK, len(plan.times))
+    last = min(_DECIDES, len(plan.times))
     best, most = begins[0], -np.inf
-    for start in begins:
-        _, found = filtered(
-            tracked, begun_with(tracked, start), _some(plan.events, 0, size), *fixed
-        )
-        likely = float(jnp.sum(found.innovation.log_likelihood[:size]))
+    for start in begins if len(begins) > 1 else ():
+        found = followed_through(tracked, start, plan.events, settings, last=last)
+        likely = float(jnp.sum(found.innovation.log_likelihood))
         if likely > most:
             best, most = start, likely
     return best
@@ -752,20 +777,40 @@ def _joined(parts: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
-def followed_through(
+def _one_call(
     system: System,
     followed: Followed,
     events: Events,
-    fixed: Sequence[Any],
+    settings: Settings,
+    begin: int,
+    size: int,
     about: tuple[Array, Array] | None = None,
+) -> tuple[Followed, Filtered]:
+    """The filter over some events."""
+    if settings.watch is not None and about is None:
+        # So that it is one program.
+        nowhere = jnp.full((_CHUNK, followed.state.mean.shape[0]), jnp.nan)
+        near: Any = (nowhere, nowhere)
+    else:
+        near = _some(about, begin, size)
+    return filtered(system, followed, _some(events, begin, size), *settings[:3], near)
+
+
+def followed_through(
+    system: System,
+    start: Gaussian | Followed,
+    events: Events,
+    settings: Settings,
+    about: tuple[Array, Array] | None = None,
+    last: int | None = None,
 ) -> Filtered:
-    """The filter over all events, without looking for changes."""
+    """The filter over all events, or so many, whether or not something has changed."""
+    followed = start if isinstance(start, Followed) else begun_with(system, start, settings.watch)
     parts = []
-    count = len(events.values)
+    count = len(events.values) if last is None else last
     for begin in range(0, count, _CHUNK):
         size = min(_CHUNK, count - begin)
-        some = _some((events, about), begin, size)
-        followed, found = filtered(system, followed, some[0], *fixed, some[1])
+        followed, found = _one_call(system, followed, events, settings, begin, size, about)
         parts.append(_first(found, size))
     rows: Filtered = _joined(parts)
     return rows
@@ -781,38 +826,30 @@ class Course(NamedTuple):
     events: Events
 
 
-def watched_through(
-    tracked: TrackedArm,
-    start: Gaussian,
-    plan: Plan,
-    fixed: Sequence[Any],
-    directions: Array | None,
-) -> Course:
+def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: Settings) -> Course:
     """The filter over all events; where a parameter has changed, it goes back to when it did.
 
     From that time on it follows the arm once more with a parameter that is as uncertain as at the
     start. States from then to when that was found stay as they were known.
     """
     times, events, count = plan.times, plan.events, len(plan.times)
-    watch = None
-    if directions is not None:
-        events = events._replace(loosened=jnp.zeros((count, tracked.size)))
-        interval = float(np.median(np.diff(times))) if count > 1 else _LONGEST
-        watch = watching(directions, max(round(EVERY / interval), 1))
     parts: list[Filtered] = []
     changes: list[Change] = []
     seconds = []
-    followed, begin = begun_with(tracked, start, watch), 0
+    followed, begin = begun_with(tracked, start, settings.watch), 0
     while begin < count:
         size = min(_CHUNK, count - begin)
         begun = clock.perf_counter()
         last, found = jax.block_until_ready(
-            filtered(tracked, followed, _some(events, begin, size), *fixed)
+            _one_call(tracked, followed, events, settings, begin, size)
         )
         seconds.append((clock.perf_counter() - begun) / _CHUNK)
-        suspected = found.suspected
-        far = [] if suspected is None else np.flatnonzero(suspected.square[:size] > CHANGED**2)
-        if suspected is None or not len(far):
+        watch, suspected = settings.watch, found.suspected
+        if watch is None or suspected is None:
+            far = np.zeros(0, int)
+        else:
+            far = np.flatnonzero(suspected.square[:size] > CHANGED**2)
+        if watch is None or suspected is None or not far.size:
             parts.append(_first(found, size))
             followed, begin = last, begin + size
             continue
@@ -820,7 +857,7 @@ def watched_through(
         parts.append(_first(found, at + 1))
         end = begin + at
         since = max(end - int(suspected.age[at]), 0)
-        index = int(jnp.argmax(directions[int(suspected.which[at])]))  # type: ignore[index]
+        index = int(jnp.argmax(watch.directions[int(suspected.which[at])]))
         changes.append(
             Change(
                 tracked.paths[index - tracked.slices()["parameters"].start],
@@ -830,39 +867,28 @@ def watched_through(
                 float(suspected.deviation[at]),
             )
         )
-        loose = jnp.linalg.norm(start.root[index])
         assert events.loosened is not None
+        loose = jnp.linalg.norm(start.root[index])
         events = events._replace(loosened=events.loosened.at[since + 1, index].set(loose))
-        rows = _joined(parts)
-        parts = [rows]
-        known = _row(rows, since)
-        again = Followed(known.state, known.left_out)
+        parts = [_joined(parts)]
+        known = _row(parts[0], since)
+        again = Followed(known.state, known.left_out, watch)
         between = jax.tree.map(lambda leaf, a=since + 1, b=end + 1: leaf[a:b], events)
-        known = _row(followed_through(tracked, again, between, fixed), -1)
+        known = _row(followed_through(tracked, again, between, settings), -1)
         followed, begin = Followed(known.state, known.left_out, watch), end + 1
     return Course(_joined(parts), min(seconds), tuple(changes), events)
 
 
-def smoothed_once(
-    system: System,
-    events: Events,
-    rows: Filtered,
-    about: tuple[Array, Array] | None = None,
-) -> Gaussian:
-    """The smoother over all events, by the filter's rows."""
+def smoothed_through(rows: Filtered) -> Gaussian:
+    """The smoother over all events."""
     after: Any = _row(rows.state, -1)
     parts: list[Gaussian] = [jax.tree.map(lambda leaf: leaf[None], after)]
-    nominal = None if about is None else about[0][1:]
-    loosened = None if events.loosened is None else events.loosened[1:]
-    before = _first(rows.state, -1)
-    held = jax.tree.map(lambda leaf: leaf[1:], events.held)
-    given = (before, held, loosened, nominal)
-    count = len(before.mean)
+    given = (_first(rows.state, -1), jax.tree.map(lambda leaf: leaf[1:], rows.motion))
+    count = len(rows.state.mean) - 1
     for begin in reversed(range(0, count, _CHUNK)):
         size = min(_CHUNK, count - begin)
-        states, later, loose, at = _some(given, begin, size)
-        there = jnp.arange(_CHUNK) < size
-        found = smoothed_states(system, after, states, later, there, loose, at)
+        states, motions = _some(given, begin, size)
+        found = smoothed_states(after, states, motions, jnp.arange(_CHUNK) < size)
         after = _row(found, 0)
         parts.append(_first(found, size))
     whole: Gaussian = _joined(parts[::-1])
@@ -870,28 +896,22 @@ def smoothed_once(
 
 
 def linearised_again(
-    system: System,
-    start: Followed,
-    events: Events,
-    fixed: Sequence[Any],
-    rows: Filtered,
-    directions: Array,
+    system: System, start: Gaussian, events: Events, settings: Settings, rows: Filtered
 ) -> tuple[Gaussian, Filtered]:
-    """Smoothed and filtered states, linearised about the smoothed ones until these stay.
-
-    `directions`: of the states that are to stay.
-    """
-    smooth = smoothed_once(system, events, rows)
-    for _ in range(_ROUNDS):
+    """Smoothed and filtered states, linearised about the smoothed ones until parameters stay."""
+    smooth = smoothed_through(rows)
+    watch = settings.watch
+    for _ in range(0 if watch is None else _ROUNDS):
+        assert watch is not None
         mean = smooth.mean
         about = (jnp.concatenate([mean[:1], mean[:-1]]), mean)
-        again = followed_through(system, start, events, fixed, about)
-        better = smoothed_once(system, events, again, about)
+        again = followed_through(system, start, events, settings, about)
+        better = smoothed_through(again)
         if not np.all(np.isfinite(better.mean)):
             break
-        far = jnp.abs((better.mean - smooth.mean) @ directions.T)
+        far = jnp.abs((better.mean - smooth.mean) @ watch.directions.T)
         smooth, rows = better, again
-        if jnp.all(far < _STAYS * jnp.linalg.norm(directions @ better.root, axis=-1)):
+        if jnp.all(far < _STAYS * jnp.linalg.norm(watch.directions @ better.root, axis=-1)):
             break
     return smooth, rows
 

@@ -20,6 +20,7 @@ from ._rounds import (
     Events,
     Filtered,
     Followed,
+    Motion,
     Suspected,
     System,
     Watch,
@@ -31,6 +32,7 @@ from ._track import (
     EVERY,
     SHORT,
     Change,
+    Settings,
     States,
     Unknown,
     arm_model,
@@ -227,11 +229,13 @@ class DelayedFilter(Generic[Kept]):
         kept = self._clones[1:]
         if len(kept) < 2:
             return
-        start = begun_with(self.system, self._clones[0].followed.state)
+        start = self._clones[0].followed.state
         events: Events = _stacked([clone.event for clone in kept])
         rows: Filtered = _stacked([clone.found for clone in kept])
-        fixed = (self._estimated, self._gate, jnp.asarray(False))
-        _, rows = linearised_again(self.system, start, events, fixed, rows, watched)
+        settings = Settings(
+            self._estimated, self._gate, jnp.asarray(False), watching(watched, len(kept))
+        )
+        _, rows = linearised_again(self.system, start, events, settings, rows)
         mean, root = np.asarray(rows.state.mean), np.asarray(rows.state.root)
         left_out = np.asarray(rows.left_out)
         for index, clone in enumerate(kept):
@@ -345,7 +349,20 @@ class Tracker:
             rest if rates is None else _row("rates", rates, count),
         )
         self._width = 0 if given.air is None else 3
-        known = (self.arm, self._held(time - SHORT, time), given, initial)
+        estimated = estimated_states(self.arm, given)
+        still = jnp.zeros(self.arm.size) if given.estimated else None
+        nothing = jnp.zeros(len(noise))
+
+        def motion(start: Gaussian, held: Held) -> Motion:
+            event = Events(held, nothing, nothing > 0, still)
+            watched = watched_parameters(self.arm, given)
+            watch = None if watched is None else watching(watched, 1)
+            begun = begun_with(self.arm, start, watch)
+            return followed_by(self.arm, begun, event, estimated, jnp.asarray(gate, float))[
+                1
+            ].motion
+
+        known = (self.arm, self._held(time - SHORT, time), given, initial, motion)
         found = [] if angles is not None else starts(*known, rest=(True,))
         begun = (found or starts(*known, rest=(False,)))[0]
         self.filter: DelayedFilter[TrackedArm] = DelayedFilter(
@@ -355,7 +372,7 @@ class Tracker:
             self._held,
             history=history,
             gate=gate,
-            estimated=estimated_states(self.arm, given),
+            estimated=estimated,
             watched=watched_parameters(self.arm, given),
         )
 

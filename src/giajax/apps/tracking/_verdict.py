@@ -22,7 +22,6 @@ from ._track import (
     Unknown,
     arm_model,
     begun_at,
-    begun_with,
     followed_through,
     noise_of,
     with_errors_of,
@@ -153,8 +152,8 @@ def judge(
         same = found.start if unknown is found.unknown else None
         try:
             given = (other, short, noise or found.noise, unknown, found.gate, same)
-            tracked, plan, start, fixed = begun_at(*given)
-            rows = followed_through(tracked, begun_with(tracked, start), plan.events, fixed)
+            tracked, plan, start, settings = begun_at(*given)
+            rows = followed_through(tracked, start, plan.events, settings)
         except InputError:
             return -np.inf
         total = float(np.sum(np.asarray(rows.innovation.log_likelihood)))
@@ -342,10 +341,11 @@ def unseen(
     given = with_errors_of(model, Unknown() if unknown is None else unknown)
     names = list(run.observations if channels is None else channels)
     noise = noise_of(run, names, result)
-    tracked, plan, start, (_, gate, _) = begun_at(stated, _first_rows(run), noise, given, GATE)
-    every = jnp.ones(tracked.size, bool)
-    fixed = (every, gate, jnp.asarray(True))
-    rows = followed_through(tracked, begun_with(tracked, start), plan.events, fixed)
+    tracked, plan, start, settings = begun_at(stated, _first_rows(run), noise, given, GATE)
+    every = jnp.ones_like(settings.estimated)
+    rows = followed_through(
+        tracked, start, plan.events, settings._replace(estimated=every, blind=jnp.asarray(True))
+    )
     before = np.sqrt(np.sum(np.asarray(start.root) ** 2, axis=1))
     after = np.sqrt(np.sum(np.asarray(rows.state.root[-1]) ** 2, axis=1))
     return [
