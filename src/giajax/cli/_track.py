@@ -2,7 +2,9 @@
 
 import io
 import json
-from collections.abc import Mapping
+import math
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,6 +36,11 @@ if TYPE_CHECKING:
     from ..models import ArmModel
     from ..recordings import Run
 
+_STANDARD_INPUT = Path("-")
+_HEARD = "recorded.csv"  # what came from standard input
+_PATIENCE = 10.0  # s
+_SHARE = 0.3  # of a parameter: its deviation, where none is stated
+
 _FACTS, _PICTURE, _PAGE, _BANDS, _RUN = (
     "track.json",
     "track.png",
@@ -55,13 +62,20 @@ Examples:
   giajax track run.csv --model my_arm.toml \\
       --uncertain air.drag_coefficient=0.1 --out tracked
                             with a drag that is 0.1 uncertain
+  giajax track run.csv --model my_arm.toml \\
+      --free joints.pitch_stiffness --follow 30 --out tracked
+                            while run.csv is being recorded: a line a second
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
 states an arm; without it the sidecar's is taken. The errors of a fit count as
 uncertainty of its parameters. Writes estimate.csv, a run of the smoothed
 states, bands.csv with the deviations of each, track.json, track.png and
-track.html (with the extra report).""",
+track.html (with the extra report).
+
+\b
+With --follow, or with - for standard input, a line is printed for each second
+that is recorded; the files are written when the run has ended or at Ctrl-C.""",
     group="plan",
 )
 def track(
@@ -91,6 +105,12 @@ def track(
         "PATH=SD",
         "Deviation of a parameter, not estimated. [the errors of the fit, all of them]",
     ] = None,
+    free: Annotated[
+        Texts, "PATH[=SD]", "Estimate a parameter, and whether it changes. [SD: 30 % of it]"
+    ] = None,
+    follow: Annotated[
+        float | None, "S", "Follow a growing file, until it has not grown for so long."
+    ] = None,
     torque: Annotated[
         float | None, "N_M", "Unmodelled torque of a joint, white, N m root(s). [by stiffness]"
     ] = None,
@@ -116,12 +136,16 @@ def track(
         observing,
         parse_rename,
         read_run,
+        run_of_lines,
         stored_result,
         write_run,
     )
 
     check_quiet(quiet, written=out, as_json=as_json, by="--out DIR or --json")
-    names = [_FACTS, _PICTURE, _BANDS, _RUN, _RUN.replace(".csv", ".toml"), _PAGE]
+    names = [_FACTS, _PICTURE, _BANDS, _RUN, _RUN.replace(".csv", ".toml"), _PAGE, _HEARD]
+    live = follow is not None or run == _STANDARD_INPUT
+    if follow is not None and not 0 < follow < math.inf:
+        raise InputError(f"--follow is {follow:g}: give a positive number of seconds")
     check_output_folder(out, names, force=force)
     parts, length_scale = gust_numbers(gusts or "0.3:5")
     if mean is None and any(each is not None for each in (gusts, coherence, places)):
@@ -129,9 +153,11 @@ def track(
     flow = None if mean is None else velocity(mean, "--wind")
     if model is not None and is_result(model):
         stored_result(model)
-    recorded = read_run(run, definition=definition_of(model), rename=parse_rename(rename or []))
-    if channels:
-        recorded = observing(recorded, channels)
+    how_read: Any = {"definition": definition_of(model), "rename": parse_rename(rename or [])}
+
+    def some(recorded: "Run") -> "Run":
+        return observing(recorded, channels) if channels else recorded
+
     configure()
     from ..apps.tracking import (
         Unknown,
@@ -149,17 +175,34 @@ def track(
     from ..report import study_page, to_png
 
     fitted = model is not None and is_result(model)
-    source: Any = load_result(model) if fitted and model else model_of(model, [recorded])
-    unknown = Unknown(
-        air=None
-        if flow is None
-        else _air(
-            source, flow, parts, length_scale, 12.0 if coherence is None else coherence, places
-        ),
-        biases=_biases(recorded, bias),
-        considered=_numbers(uncertain, "--uncertain"),
-        torque=torque,
-    )
+
+    def source_of(recorded: "Run") -> Any:
+        return load_result(model) if fitted and model else model_of(model, [recorded])
+
+    def unknown_of(recorded: "Run") -> Unknown:
+        source = source_of(recorded)
+        decay = 12.0 if coherence is None else coherence
+        return Unknown(
+            air=None if flow is None else _air(source, flow, parts, length_scale, decay, places),
+            biases=_biases(recorded, bias),
+            considered=_numbers(uncertain, "--uncertain"),
+            estimated=_estimated(free, source),
+            torque=torque,
+        )
+
+    if live:
+        run = _follow(
+            run,
+            out,
+            follow,
+            lambda data, path: some(run_of_lines(data, path, **how_read)),
+            {"model_for": source_of, "unknown": unknown_of, "gate": gate},
+            how_read["rename"],
+            as_json=as_json,
+            quiet=quiet,
+        )
+    recorded = some(read_run(run, **how_read))
+    source, unknown = source_of(recorded), unknown_of(recorded)
     say = say_progress(quiet)
     hidden = unseen(source, recorded, unknown=unknown)
     found = tracked(source, recorded, unknown=unknown, latency=latency, gate=gate, progress=say)
@@ -190,6 +233,74 @@ def track(
         say_written(out, [*contents, _RUN])
         if page is None:
             typer.echo("note: track.html needs the extra report")
+
+
+def _follow(
+    run: Path,
+    out: Path,
+    patience: float | None,
+    read: Any,
+    how: dict[str, Any],
+    rename: dict[str, str],
+    *,
+    as_json: bool,
+    quiet: bool,
+) -> Path:
+    """Track a run while it is recorded; the file that then has it."""
+    from ..apps.tracking import followed_live, heard_facts, heard_line, lines_of
+    from ..recordings import make_folder
+
+    copy = None
+    if run == _STANDARD_INPUT:
+        make_folder(out)
+        path, copy = Path("standard input"), (out / _HEARD).open("wb")
+        lines: Any = _copied(iter(sys.stdin.buffer.readline, b""), copy)
+    elif run.is_file():
+        path, lines = run, lines_of(run, _PATIENCE if patience is None else patience)
+    else:
+        raise InputError(f"{run} does not exist: give a file that is being recorded")
+    given = {**how, "path": path, "rename": rename}
+    try:
+        for heard in followed_live(lines, lambda data: read(data, path), **given):
+            if as_json:
+                typer.echo(json.dumps(heard_facts(heard), allow_nan=False))
+            elif not quiet:
+                typer.echo(heard_line(heard))
+    except KeyboardInterrupt:
+        typer.echo("stopped: what was recorded until now is tracked", err=True)
+    finally:
+        if copy is not None:
+            copy.close()
+    return run if copy is None else out / _HEARD
+
+
+def _copied(lines: "Iterator[bytes]", file: Any) -> "Iterator[bytes]":
+    for line in lines:
+        file.write(line)
+        file.flush()
+        yield line
+
+
+def _estimated(given: list[str] | None, source: Any) -> dict[str, float]:
+    """Deviations by path, of which those that are not stated are a share of the value."""
+    from ..apps.tracking import arm_model
+    from ..schema.parameters import find
+
+    found: dict[str, float] = {}
+    for each in given or []:
+        path, stated, _ = each.partition("=")
+        if stated:
+            found |= _numbers([each], "--free")
+            continue
+        model = arm_model(source)
+        value = find(model, path).value(model)
+        if value is None or value.size != 1 or not float(value):
+            raise InputError(
+                f"--free {path}: it has no single number that a share could be taken of; give "
+                f"its standard deviation, --free {path}=SD"
+            )
+        found[path] = _SHARE * abs(float(value))
+    return found
 
 
 def _air(

@@ -57,6 +57,7 @@ from ._read import (
     read_runs as read_runs,
     read_sidecar as read_sidecar,
     rows_of as rows_of,
+    run_of_lines as run_of_lines,
     sidecar_path as sidecar_path,
     windows as windows,
     write_files as write_files,
@@ -73,6 +74,7 @@ from ._table import (
     column_names as column_names,
     read_numbers as read_numbers,
     read_table as read_table,
+    table_of_lines as table_of_lines,
 )
 from ._tracked import (
     Beside as Beside,

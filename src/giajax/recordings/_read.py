@@ -19,7 +19,7 @@ from ..schema import InitialSection
 from ._channels import Channel, Naming, infer_model, match_name, order
 from ._definition import Definition, run_keys
 from ._run import Run, build_run
-from ._table import Table, read_table
+from ._table import Table, read_table, table_of_lines
 
 _LINK_ANGLE = re.compile(r"link([0-9]{1,4})_angle")
 
@@ -178,7 +178,24 @@ def read_run(
     path = Path(path)
     # First, because it may name a model whose columns a package declares.
     sidecar = read_sidecar(path)
-    table = read_table(path, rename)
+    return _with_sidecar(read_table(path, rename), path, sidecar, definition)
+
+
+def run_of_lines(
+    data: bytes,
+    path: Path,
+    *,
+    rename: Mapping[str, str] | None = None,
+    definition: Definition | None = None,
+) -> Run:
+    """As `read_run`, of lines of a file that may still grow; the first names its columns."""
+    sidecar = read_sidecar(path)
+    return _with_sidecar(table_of_lines(data, path, rename), path, sidecar, definition)
+
+
+def _with_sidecar(
+    table: Table, path: Path, sidecar: Definition, definition: Definition | None
+) -> Run:
     if sidecar.sha256 is not None and sidecar.sha256 != table.sha256:
         raise InputError(
             f"{path} has the SHA-256 {table.sha256[:12]}..., but {sidecar_path(path)} says "

@@ -265,7 +265,22 @@ class Table:
 
 def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
     """Read a `.csv` or `.parquet` file (`InputError`: the file is not such a table)."""
-    data, header, columns, first_row = _split(path)
+    return _table_of(*_split(path), path, rename)
+
+
+def table_of_lines(data: bytes, path: Path, rename: Mapping[str, str] | None = None) -> Table:
+    """As `read_table`, of lines of a CSV file of which the first names the columns."""
+    return _table_of(data, *split_csv(data, path), path, rename)
+
+
+def _table_of(
+    data: bytes,
+    header: list[str],
+    columns: list[pl.Series],
+    first_row: int,
+    path: Path,
+    rename: Mapping[str, str] | None,
+) -> Table:
     names = _renamed(header, rename or {}, path)
     try:
         named = parse_columns(names)

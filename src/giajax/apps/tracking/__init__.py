@@ -15,11 +15,20 @@ from ._filter import (
     root_of_sum as root_of_sum,
     smoothed as smoothed,
 )
+from ._live import (
+    SHOWN as SHOWN,
+    Heard as Heard,
+    followed_live as followed_live,
+    lines_of as lines_of,
+)
 from ._report import (
     TRACK_HEADINGS as TRACK_HEADINGS,
     band_columns as band_columns,
+    change_sentence as change_sentence,
     estimate_columns as estimate_columns,
     estimate_definition as estimate_definition,
+    heard_facts as heard_facts,
+    heard_line as heard_line,
     track_facts as track_facts,
     track_figure as track_figure,
     track_notes as track_notes,

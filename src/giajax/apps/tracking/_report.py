@@ -1,5 +1,6 @@
 """A track as pictures, tables, plain data, a page and a run."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,7 +9,8 @@ from matplotlib.figure import Figure
 
 from ...report import BLUE, GREY, VERMILLION, Table, new_figure, plain
 from ...schema import CommandSection
-from ._track import States, Track
+from ._live import SHOWN, Heard
+from ._track import Change, States, Track
 from ._verdict import TrackVerdict
 
 Hidden = Sequence[tuple[str, float, float]]
@@ -135,6 +137,54 @@ def _quantities(states: States) -> dict[str, tuple[Any, Any, str, float]]:
     return found
 
 
+def heard_facts(heard: Heard) -> dict[str, Any]:
+    """What is known at one time of a run that is being recorded, as plain data."""
+    now = heard.now
+    return {
+        "time_s": heard.time,
+        "tip_m": now.tip[0].tolist(),
+        "tip_deviation_m": now.tip_deviations[0].tolist(),
+        "wind_m_per_s": None if now.wind is None else now.wind[0].tolist(),
+        "parameters": {
+            path: {
+                "value": float(values[0]),
+                "deviation": float(now.parameter_deviations[path][0]),
+                "shown": path in heard.shown,
+            }
+            for path, values in now.parameters.items()
+        },
+        "nis": heard.nis,
+        "changes": [dataclasses.asdict(change) for change in heard.changes],
+    }
+
+
+def heard_line(heard: Heard) -> str:
+    """The same as a line, below one for each change."""
+    now = heard.now
+    tip = " ".join(f"{each:.3f}" for each in now.tip[0])
+    parts = [
+        f"{heard.time:8.1f} s",
+        f"tip {tip} m +- {float(np.linalg.norm(now.tip_deviations[0])):.2g}",
+    ]
+    if now.wind is not None:
+        parts.append("wind " + " ".join(f"{each:.2f}" for each in now.wind[0]) + " m/s")
+    for path, values in now.parameters.items():
+        spread = float(now.parameter_deviations[path][0])
+        hidden = "" if path in heard.shown else " (not shown yet)"
+        parts.append(f"{path} {float(values[0]):.4g} +- {spread:.2g}{hidden}")
+    parts.append(f"NIS {heard.nis:.2f}")
+    return "\n".join([*map(change_sentence, heard.changes), "  ".join(parts)])
+
+
+def change_sentence(change: Change) -> str:
+    """It in one sentence."""
+    way = "fallen" if change.size < 0 else "risen"
+    return (
+        f"changed: {change.path} has {way} by {abs(change.size):.2g} +- {change.deviation:.1g} at "
+        f"about {change.time:.1f} s, as seen at {change.found:.1f} s"
+    )
+
+
 TRACK_HEADINGS = ("state", "unit", "at the end", "deviation", "smoothed, mean deviation")
 
 
@@ -169,6 +219,7 @@ def track_facts(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> dic
         "events": len(found.times),
         "seconds_per_event": found.seconds,
         "log_likelihood": float(np.sum(found.log_likelihood)),
+        "changes": [dataclasses.asdict(change) for change in found.changes],
         "verdict": {
             "adequate": verdict.adequate,
             "sentence": verdict.sentence,
@@ -198,6 +249,12 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
     notes = [
         f"{cause.name}: log-likelihood +{cause.gain:.3g}; {cause.advice}"
         for cause in verdict.causes[1:]
+    ]
+    notes += [change_sentence(change) for change in found.changes]
+    notes += [
+        f"this run shows nothing about {path}: the arm rests, or moves in another direction"
+        for path, before in found.unknown.estimated.items()
+        if found.smoothed.parameter_deviations[path][-1] > SHOWN * before
     ]
     if hidden:
         names = [name for name, _, _ in hidden]
