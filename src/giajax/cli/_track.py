@@ -225,7 +225,8 @@ def track(
     how: dict[str, Any] = {"definition": estimate_definition(found), "force": force}
     write_run(out / _RUN, found.times, estimate_columns(found), **how)
     if as_json:
-        typer.echo(text)
+        # Of a run that was followed, a line as those before it.
+        typer.echo(json.dumps(facts, allow_nan=False) if live else text)
     elif not quiet:
         _show(found, verdict, hidden)
         if truth is not None:

@@ -72,6 +72,8 @@ class Unknown:
         estimated: of those that are estimated, too.
         torque: unmodelled torque of each joint, as white noise, N m root(s); None: a default.
         ties: expressions by the path of the parameter that follows from others, as of a fit.
+        at_start: standard deviations of all angles and rates then, rad and rad/s; None: 2 degrees
+            and 1 degree/s about what the run states, 1 and 0.3 where the arm has come to rest.
     """
 
     air: Air | None = None
@@ -81,6 +83,7 @@ class Unknown:
     estimated: Mapping[str, float] = dataclasses.field(default_factory=dict)
     torque: float | None = None
     ties: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    at_start: tuple[float, float] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -434,7 +437,7 @@ def starts(
                 continue
             begun, root_of = mean.copy(), np.diag(deviation)
             begun[:size], begun[size : 2 * size] = here, 0.0 if rests else rates
-            spreads = _AT_REST if rests else _STATED
+            spreads = unknown.at_start or (_AT_REST if rests else _STATED)
             root_of[range(size), range(size)] = spreads[0]
             root_of[range(size, 2 * size), range(size, 2 * size)] = spreads[1]
             if tracked.gusts is not None:
@@ -777,6 +780,29 @@ def _joined(parts: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
+_MOVES = 2.0  # times the noise, by which an arm that moves is seen to
+
+
+def rests(values: np.ndarray, noise: np.ndarray) -> bool:
+    """Whether no channel moves by more than its noise; NaN where nothing was measured.
+
+    A parameter then shows by products of errors only, which a linearised filter takes for more
+    than they are.
+    """
+    there = np.isfinite(values)
+    count = np.maximum(there.sum(axis=0), 1)
+    mean = np.where(there, values, 0).sum(axis=0) / count
+    square = np.where(there, (values - mean) ** 2, 0).sum(axis=0) / count
+    return bool(np.all(square < (_MOVES * noise) ** 2))
+
+
+def learning(estimated: Array, watch: Watch, values: np.ndarray, noise: np.ndarray) -> Array:
+    """Which states measurements change: parameters where the arm moves, too."""
+    return (
+        estimated & ~jnp.any(watch.directions != 0, axis=0) if rests(values, noise) else estimated
+    )
+
+
 def _one_call(
     system: System,
     followed: Followed,
@@ -787,13 +813,17 @@ def _one_call(
     about: tuple[Array, Array] | None = None,
 ) -> tuple[Followed, Filtered]:
     """The filter over some events."""
-    if settings.watch is not None and about is None:
+    some, estimated, watch = _some(events, begin, size), settings.estimated, settings.watch
+    if watch is not None:
+        values = np.where(some.there, some.values, np.nan)
+        estimated = learning(estimated, watch, values, np.asarray(system.noise))
+    if watch is not None and about is None:
         # So that it is one program.
         nowhere = jnp.full((_CHUNK, followed.state.mean.shape[0]), jnp.nan)
         near: Any = (nowhere, nowhere)
     else:
         near = _some(about, begin, size)
-    return filtered(system, followed, _some(events, begin, size), *settings[:3], near)
+    return filtered(system, followed, some, estimated, settings.gate, settings.blind, near)
 
 
 def followed_through(

@@ -1,6 +1,7 @@
 """A filter whose measurements come late, one after the other, and out of their order."""
 
 import bisect
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -40,6 +41,7 @@ from ._track import (
     begun_with,
     delays_of,
     estimated_states,
+    learning,
     linearised_again,
     starts,
     usual_torque,
@@ -60,6 +62,7 @@ class _Clone(NamedTuple):
 
 
 _WINDOW = 60.0  # s, in which a parameter that is estimated may have changed
+_RECENT = 10.0  # s, in which an arm rests or moves
 _FIRST_PAUSE = 10.0  # s, before what is kept is linearised once more; then twice as long
 
 
@@ -109,6 +112,7 @@ class DelayedFilter(Generic[Kept]):
         self._estimated = jnp.ones(states, bool) if estimated is None else estimated
         self._nothing = np.full(system.noise.shape[0], np.nan)
         self._watched, self._begun = watched, start
+        self._recent: deque[tuple[float, np.ndarray]] = deque()
         self._still = None if watched is None else jnp.zeros(states)
         self._pause = _FIRST_PAUSE
         self._again = time + self._pause
@@ -156,6 +160,9 @@ class DelayedFilter(Generic[Kept]):
             return False
         later = self._clones[place:]
         del self._clones[place:]
+        self._recent.append((time, values))
+        while self._recent[0][0] < self._recent[-1][0] - _RECENT:
+            self._recent.popleft()
         self._go_on(time, values)
         self._repeat(later)
         if self._watched is not None:
@@ -257,7 +264,11 @@ class DelayedFilter(Generic[Kept]):
         )
 
     def _after(self, before: Followed, event: Events) -> tuple[Followed, Filtered]:
-        return followed_by(self.system, before, event, self._estimated, self._gate)
+        estimated = self._estimated
+        if before.watch is not None and self._recent:
+            values = np.stack([values for _, values in self._recent])
+            estimated = learning(estimated, before.watch, values, np.asarray(self.system.noise))
+        return followed_by(self.system, before, event, estimated, self._gate)
 
     def _forget(self) -> None:
         old = self.time - self._history
