@@ -16,6 +16,7 @@ from ._influence import INFLUENCE
 from ._kills import KILLS
 from ._ladder import LADDER
 from ._ladder_friction import LADDER_FRICTION
+from ._leaks import LEAKS
 from ._missions import MISSIONS
 from ._noise import NOISE
 from ._omissions import OMISSIONS
@@ -56,5 +57,6 @@ _ALL = (
     MISSIONS,
     SHAPING,
     TRACKING,
+    LEAKS,
 )
 STUDIES = {study.name: study for study in _ALL}

@@ -244,7 +244,7 @@ TRACKING = Study(
         "that nobody recorded, from a camera that sees the tip half a second late and an encoder "
         "of the base joint; and whether it says so where a delay or the gusts are wrong."
     ),
-    size=2,
+    size=4,
     seed=1,
     run=run,
     disagreements=disagreements,
