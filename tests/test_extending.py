@@ -61,8 +61,17 @@ def test_each_example_is_one_file_of_at_most_60_lines_that_asserts():
         assert "assert" in text
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", RESULTS)
+# The two that take minutes are for before a release; the others ask the same of laws and terms.
+LONG = ("hardening_joint", "fullness_drag")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.long if name in LONG else pytest.mark.slow)
+        for name in RESULTS
+    ],
+)
 def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
     name, tmp_path, monkeypatch, capsys
 ):

@@ -76,15 +76,28 @@ SWAPPED = {
 }
 
 
-@pytest.mark.slow
+SLOW, LONG = pytest.mark.slow, pytest.mark.long
+
+
 @pytest.mark.parametrize(
     ("name", "rename", "times"),
     [
-        ("columns: joint01_command with the other sign", {}, {"joint01_command": -1.0}),
-        ("columns: joint03_command that of joint 2", {"joint02_command": "joint03_command"}, {}),
-        ("columns: link02 and link04 exchanged", SWAPPED, {}),
+        pytest.param(
+            "columns: joint01_command with the other sign",
+            {},
+            {"joint01_command": -1.0},
+            id="sign",
+            marks=SLOW,
+        ),
+        pytest.param(
+            "columns: joint03_command that of joint 2",
+            {"joint02_command": "joint03_command"},
+            {},
+            id="joint",
+            marks=SLOW,
+        ),
+        pytest.param("columns: link02 and link04 exchanged", SWAPPED, {}, id="labels", marks=LONG),
     ],
-    ids=["sign", "joint", "labels"],
 )
 def test_a_mistake_with_columns_is_among_the_first_suspects(name, rename, times):
     run = recorded({})

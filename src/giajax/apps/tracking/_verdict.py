@@ -101,6 +101,19 @@ def _first_rows(run: Run) -> Run:
     return dataclasses.replace(run, times=run.times[:_FIRST], values=values)
 
 
+def _without_first(run: Run, names: Sequence[str], late: float) -> Run:
+    """Without what a clock that is so late (s) shows of the time before the run.
+
+    Likelihoods of several delays are then of the same measurements.
+    """
+    assert run.times is not None
+    early = run.times < run.times[0] + late - 1e-9
+    values = dict(run.values)
+    for name in names:
+        values[name] = np.where(early, np.nan, values[name])
+    return dataclasses.replace(run, values=values)
+
+
 def consistent(found: Track) -> tuple[bool, float, float, float, float]:
     """Whether innovations are as expected, and by which numbers; as of `TrackVerdict`."""
     count, counted = int(np.sum(found.there)), int(np.sum(found.used))
@@ -148,7 +161,12 @@ def judge(
     causes: list[Cause] = []
     tried: list[str] = []
 
-    def likely(other: ArmModel, unknown: Unknown, noise: dict[str, float] | None = None) -> float:
+    def likely(
+        other: ArmModel,
+        unknown: Unknown,
+        noise: dict[str, float] | None = None,
+        short: Run = short,
+    ) -> float:
         same = found.start if unknown is found.unknown else None
         try:
             given = (other, short, noise or found.noise, unknown, found.gate, same)
@@ -159,7 +177,7 @@ def judge(
         total = float(np.sum(np.asarray(rows.innovation.log_likelihood)))
         return total if np.isfinite(total) else -np.inf
 
-    base = likely(stated, found.unknown) if look else 0.0
+    base = likely(stated, found.unknown) if look and not sound else 0.0
 
     moves = any(np.ptp(column) > 0 for column in found.run.commands.values())
     # Of two clocks one is late where the other is early: the first is shifted.
@@ -168,10 +186,13 @@ def judge(
         say(f"{path} ...")
         tried.append(path)
         nominal = found.arm.delay_of(path) or 0.0
-        gains = {0.0: 0.0}
-        for shift in _SHIFTS:
-            shifted = replace(stated, {path: nominal + shift})
-            gains[shift] = likely(shifted, found.unknown) - base
+        names = [name for name in found.arm.channels if delay_path(name) == path]
+        same = _without_first(short, names, nominal + max(_SHIFTS))
+        totals = {
+            shift: likely(replace(stated, {path: nominal + shift}), found.unknown, short=same)
+            for shift in (0.0, *_SHIFTS)
+        }
+        gains = {shift: total - totals[0.0] for shift, total in totals.items()}
         if (late := _highest(gains)) is not None:
             at, gain, deviation = late
             if gain > _GAIN:
