@@ -190,8 +190,25 @@ def test_a_tracked_arm_is_where_it_is_said_to_be():
     for arm in arms:
         assert max(arm["tip_m"], arm["tip_smoothed_m"], arm["tip_in_time_m"]) < 0.10
         assert arm["wind_across_m_per_s"] < 0.05
+        # Bands of an arm that remembers are too wide.
+        assert (0.7 if not arm["memory"] else 0.4) < arm["nees"] < 1.3
+        assert 0.90 < arm["covered"] < (0.98 if not arm["memory"] else 1.0)
         assert arm["right"]
         assert arm.get("gusts_called", True)
+
+
+@pytest.mark.quick
+def test_a_leak_is_seen_soon_and_none_where_there_is_none():
+    size, figures = figures_of("leaks")
+    arms = figures["arms"]
+    assert figures["links"] == 20
+    assert len(arms) == size
+    soon = [arm["found_after_s"] is not None and arm["found_after_s"] <= 30 for arm in arms]
+    assert np.mean(soon) >= 0.9
+    assert sum(arm["false_alarms"] + arm["false_before_leak"] for arm in arms) == 0
+    off = np.array([arm["drag_off_in_errors"] for arm in arms])
+    assert np.count_nonzero(np.abs(off) < 2) >= 0.9 * size
+    assert all(arm["drag_error_over_fit"] < 1.2 for arm in arms)
 
 
 def is_within(one):
