@@ -191,7 +191,7 @@ def track(
         )
 
     if live:
-        run = _follow(
+        recorded = _follow(
             run,
             out,
             follow,
@@ -201,7 +201,8 @@ def track(
             as_json=as_json,
             quiet=quiet,
         )
-    recorded = some(read_run(run, **how_read))
+    else:
+        recorded = some(read_run(run, **how_read))
     source, unknown = source_of(recorded), unknown_of(recorded)
     say = say_progress(quiet)
     hidden = unseen(source, recorded, unknown=unknown)
@@ -246,23 +247,33 @@ def _follow(
     *,
     as_json: bool,
     quiet: bool,
-) -> Path:
-    """Track a run while it is recorded; the file that then has it."""
+) -> "Run":
+    """Track a run while it is recorded; the run of its complete lines."""
     from ..apps.tracking import followed_live, heard_facts, heard_line, lines_of
     from ..recordings import make_folder
 
-    copy = None
+    path, copy, kept = run, None, bytearray()
     if run == _STANDARD_INPUT:
         make_folder(out)
-        path, copy = Path("standard input"), (out / _HEARD).open("wb")
-        lines: Any = _copied(iter(sys.stdin.buffer.readline, b""), copy)
+        path = out / _HEARD
+        copy = path.open("wb")
+        came: Any = iter(sys.stdin.buffer.readline, b"")
     elif run.is_file():
-        path, lines = run, lines_of(run, _PATIENCE if patience is None else patience)
+        came = lines_of(run, _PATIENCE if patience is None else patience)
     else:
         raise InputError(f"{run} does not exist: give a file that is being recorded")
+
+    def lines() -> "Iterator[bytes]":
+        for line in came:
+            kept.extend(line)
+            if copy is not None:
+                copy.write(line)
+                copy.flush()
+            yield line
+
     given = {**how, "path": path, "rename": rename}
     try:
-        for heard in followed_live(lines, lambda data: read(data, path), **given):
+        for heard in followed_live(lines(), lambda data: read(data, path), **given):
             if as_json:
                 typer.echo(json.dumps(heard_facts(heard), allow_nan=False))
             elif not quiet:
@@ -272,14 +283,7 @@ def _follow(
     finally:
         if copy is not None:
             copy.close()
-    return run if copy is None else out / _HEARD
-
-
-def _copied(lines: "Iterator[bytes]", file: Any) -> "Iterator[bytes]":
-    for line in lines:
-        file.write(line)
-        file.flush()
-        yield line
+    return read(bytes(kept), path)
 
 
 def _estimated(given: list[str] | None, source: Any) -> dict[str, float]:
