@@ -208,7 +208,8 @@ def test_a_leak_is_seen_soon_and_none_where_there_is_none():
     assert sum(arm["false_alarms"] + arm["false_before_leak"] for arm in arms) == 0
     off = np.array([arm["drag_off_in_errors"] for arm in arms])
     assert np.count_nonzero(np.abs(off) < 2) >= 0.9 * size
-    assert all(arm["drag_error_over_fit"] < 1.2 for arm in arms)
+    # The tracker allows for an unmodelled torque, and a fit does not.
+    assert all(arm["drag_error_over_fit"] < 2.0 for arm in arms)
 
 
 def is_within(one):
