@@ -164,9 +164,9 @@ def table(figures: Figures) -> list[str]:
         *(f"| {name} | {cell} |" for name, cell in rows),
         "",
         f"Leaks and drag are of arms of {figures['links']} links, hours without a leak of arms of "
-        f"{SHORT}. The arms are driven all the time, and the air is still. A fit takes the start and "
-        "the equation of motion to be exact; the tracker allows for a start that is 2 degrees off and "
-        "for the unmodelled torque of its default.",
+        f"{SHORT}. The arms are driven all the time, and the air is still. A fit takes the start "
+        "and the equation of motion to be exact; the tracker allows for a start that is 2 degrees "
+        "off, and for the unmodelled torque of its default.",
     ]
 
 
