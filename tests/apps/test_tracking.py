@@ -449,7 +449,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
 
     writer = threading.Thread(target=goes_on)
     writer.start()
-    follow = ["track", str(growing), *given, "--follow", "3", "--out", str(tmp_path / "followed")]
+    follow = ["track", str(growing), *given, "--live", "3", "--out", str(tmp_path / "followed")]
     assert main(follow) == 0
     writer.join()
     printed = capsys.readouterr().out
@@ -457,7 +457,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
     assert "(not shown yet)" in printed
     assert (tmp_path / "followed" / "track.json").exists()
     for wrong, says in (
-        (["--follow", "0"], "give a positive number of seconds"),
+        (["--live", "0"], "give a positive number of seconds"),
         (["--free", "arm.nothing"], "arm.nothing"),
         (["--free", f"{STIFFNESS}=-1"], "give one positive number"),
     ):

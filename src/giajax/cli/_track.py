@@ -63,7 +63,7 @@ Examples:
       --uncertain air.drag_coefficient=0.1 --out tracked
                             with a drag that is 0.1 uncertain
   giajax track run.csv --model my_arm.toml \\
-      --free joints.pitch_stiffness --follow 30 --out tracked
+      --free joints.pitch_stiffness --live 30 --out tracked
                             while run.csv is being recorded: a line a second
 
 \b
@@ -74,7 +74,7 @@ states, bands.csv with the deviations of each, track.json, track.png and
 track.html (with the extra report).
 
 \b
-With --follow, or with - for standard input, a line is printed for each second
+With --live, or with - for standard input, a line is printed for each second
 that is recorded; the files are written when the run has ended or at Ctrl-C.""",
     group="plan",
 )
@@ -108,7 +108,7 @@ def track(
     free: Annotated[
         Texts, "PATH[=SD]", "Estimate a parameter, and whether it changes. [SD: 30 % of it]"
     ] = None,
-    follow: Annotated[
+    live: Annotated[
         float | None, "S", "Follow a growing file, until it has not grown for so long."
     ] = None,
     torque: Annotated[
@@ -143,9 +143,9 @@ def track(
 
     check_quiet(quiet, written=out, as_json=as_json, by="--out DIR or --json")
     names = [_FACTS, _PICTURE, _BANDS, _RUN, _RUN.replace(".csv", ".toml"), _PAGE, _HEARD]
-    live = follow is not None or run == _STANDARD_INPUT
-    if follow is not None and not 0 < follow < math.inf:
-        raise InputError(f"--follow is {follow:g}: give a positive number of seconds")
+    followed = live is not None or run == _STANDARD_INPUT
+    if live is not None and not 0 < live < math.inf:
+        raise InputError(f"--live is {live:g}: give a positive number of seconds")
     check_output_folder(out, names, force=force)
     parts, length_scale = gust_numbers(gusts or "0.3:5")
     if mean is None and any(each is not None for each in (gusts, coherence, places)):
@@ -190,11 +190,11 @@ def track(
             torque=torque,
         )
 
-    if live:
+    if followed:
         recorded = _follow(
             run,
             out,
-            follow,
+            live,
             lambda data, path: some(run_of_lines(data, path, **how_read)),
             {"model_for": source_of, "unknown": unknown_of, "gate": gate},
             how_read["rename"],
@@ -227,7 +227,7 @@ def track(
     write_run(out / _RUN, found.times, estimate_columns(found), **how)
     if as_json:
         # Of a run that was followed, a line as those before it.
-        typer.echo(json.dumps(facts, allow_nan=False) if live else text)
+        typer.echo(json.dumps(facts, allow_nan=False) if followed else text)
     elif not quiet:
         _show(found, verdict, hidden)
         if truth is not None:
