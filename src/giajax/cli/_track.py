@@ -176,13 +176,10 @@ def track(
 
     fitted = model is not None and is_result(model)
 
-    def source_of(recorded: "Run") -> Any:
-        return load_result(model) if fitted and model else model_of(model, [recorded])
-
-    def unknown_of(recorded: "Run") -> Unknown:
-        source = source_of(recorded)
+    def known_of(recorded: "Run") -> tuple[Any, Unknown]:
+        source = load_result(model) if fitted and model else model_of(model, [recorded])
         decay = 12.0 if coherence is None else coherence
-        return Unknown(
+        return source, Unknown(
             air=None if flow is None else _air(source, flow, parts, length_scale, decay, places),
             biases=_biases(recorded, bias),
             considered=_numbers(uncertain, "--uncertain"),
@@ -196,14 +193,15 @@ def track(
             out,
             live,
             lambda data, path: some(run_of_lines(data, path, **how_read)),
-            {"model_for": source_of, "unknown": unknown_of, "gate": gate},
+            known_of,
+            gate,
             how_read["rename"],
             as_json=as_json,
             quiet=quiet,
         )
     else:
         recorded = some(read_run(run, **how_read))
-    source, unknown = source_of(recorded), unknown_of(recorded)
+    source, unknown = known_of(recorded)
     say = say_progress(quiet)
     hidden = unseen(source, recorded, unknown=unknown)
     found = tracked(source, recorded, unknown=unknown, latency=latency, gate=gate, progress=say)
@@ -242,7 +240,8 @@ def _follow(
     out: Path,
     patience: float | None,
     read: Any,
-    how: dict[str, Any],
+    known_of: Any,
+    gate: float,
     rename: dict[str, str],
     *,
     as_json: bool,
@@ -271,9 +270,9 @@ def _follow(
                 copy.flush()
             yield line
 
-    given = {**how, "path": path, "rename": rename}
+    given: Any = {"path": path, "rename": rename, "gate": gate}
     try:
-        for heard in followed_live(lines(), lambda data: read(data, path), **given):
+        for heard in followed_live(lines(), lambda data: read(data, path), known_of, **given):
             if as_json:
                 typer.echo(json.dumps(heard_facts(heard), allow_nan=False))
             elif not quiet:

@@ -16,7 +16,6 @@ from ._filter import (
     smoothed as smoothed,
 )
 from ._live import (
-    SHOWN as SHOWN,
     Heard as Heard,
     followed_live as followed_live,
     lines_of as lines_of,

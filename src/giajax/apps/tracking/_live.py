@@ -5,7 +5,6 @@ import time as clock
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -14,13 +13,11 @@ from ...models import AbstractModel
 from ...recordings import Channel, Run, table_of_lines
 from ...runtime.text import InputError
 from ._rounds import GATE
-from ._track import Change, States, Unknown, arm_model, noise_of
+from ._track import SHOWN, Change, States, Unknown, arm_model, noise_of
 from ._tracker import Tracker
 
 _POLL = 0.2  # s
 _RECENT = 10.0  # s, of which innovations are averaged
-SHOWN = 0.9
-"""Of its deviation at the start; a parameter that is above it has not been shown by the run yet."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,32 +42,27 @@ class Heard:
 def lines_of(path: Path, patience: float) -> Iterator[bytes]:
     """Complete lines of a file that grows, until it has not grown for so long (s)."""
     with path.open("rb") as file:
-        yield from _lines(file, patience)
-
-
-def _lines(file: BinaryIO, patience: float) -> Iterator[bytes]:
-    part, last = b"", clock.monotonic()
-    while True:
-        if found := file.readline():
-            part, last = part + found, clock.monotonic()
-            if part.endswith(b"\n"):
-                yield part
-                part = b""
-        elif clock.monotonic() - last > patience:
-            if part.strip():
-                yield part
-            return
-        else:
-            clock.sleep(_POLL)
+        part, last = b"", clock.monotonic()
+        while True:
+            if found := file.readline():
+                part, last = part + found, clock.monotonic()
+                if part.endswith(b"\n"):
+                    yield part
+                    part = b""
+            elif clock.monotonic() - last > patience:
+                if part.strip():
+                    yield part
+                return
+            else:
+                clock.sleep(_POLL)
 
 
 def followed_live(
     lines: Iterator[bytes],
     read: Callable[[bytes], Run],
-    model_for: Callable[[Run], AbstractModel | FitResult],
+    known_of: Callable[[Run], tuple[AbstractModel | FitResult, Unknown]],
     *,
     path: Path,
-    unknown: Callable[[Run], Unknown],
     rename: Mapping[str, str] | None = None,
     gate: float = GATE,
     every: float = 1.0,
@@ -80,9 +72,9 @@ def followed_live(
     Arguments:
         lines: of a CSV file, in their order.
         read: makes a run of lines.
-        model_for: the arm, or a fit of it, for the first rows.
+        known_of: gives the arm, or a fit of it, and what is unknown beside the motion, of the
+            first rows.
         path: what errors call the file.
-        unknown: what is unknown beside the motion, of the first rows.
         rename: as of `giajax.read_run`.
         gate: deviations; a measurement that is farther off does not count.
         every: of the recorded time, s, something is said.
@@ -102,9 +94,8 @@ def followed_live(
             f"{path} has columns of a wind, which is not known before it blows: leave them out, or "
             "track the run once it has ended"
         )
-    source = model_for(first)
+    source, what = known_of(first)
     result = source if isinstance(source, FitResult) else None
-    what = unknown(first)
     names = [*first.commands, *first.observations]
     command = np.zeros(arm_model(source).arm.count)
     for name in first.commands:

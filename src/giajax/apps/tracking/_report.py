@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from ...report import BLUE, GREY, VERMILLION, Table, new_figure, plain
 from ...schema import CommandSection
-from ._live import SHOWN, Heard
-from ._track import Change, States, Track
+from ._live import Heard
+from ._track import SHOWN, Change, States, Track
 from ._verdict import TrackVerdict
 
 Hidden = Sequence[tuple[str, float, float]]

@@ -53,6 +53,8 @@ _MOST = 5e7  # numbers of one kind that are kept: 0.4 GB
 CHANGED = 6.0
 """Deviations of a change of a parameter from which on it is said to have changed."""
 EVERY = 2.0  # s from one time of a change that is thought of to the next
+SHOWN = 0.9
+"""Of its deviation at the start; a state that is above it has not been shown, or hardly."""
 _ROUNDS, _STAYS = 3, 0.02  # of linearising once more, until a parameter moves by less deviations
 # Of the state at the start: of an arm that has come to rest, and of one that starts as stated.
 _AT_REST = np.deg2rad([1.0, 0.3])
@@ -613,12 +615,12 @@ def begun_at(
     settings = Settings(estimated, jnp.asarray(gate, float), jnp.asarray(False), watch)
     if start is not None:
         return tracked, plan, start, settings
-    nothing = plan.events._replace(there=jnp.zeros_like(plan.events.there))
+    one = _first(plan.events, 1)
+    one = one._replace(there=jnp.zeros_like(one.there))
 
     def motion(start: Gaussian, held: Held) -> Motion:
-        rows = jax.tree.map(lambda leaf, all: jnp.broadcast_to(leaf, all.shape), held, nothing.held)
-        events = nothing._replace(held=rows)
-        found: Motion = _row(followed_through(tracked, start, events, settings, last=1).motion, 0)
+        event = one._replace(held=jax.tree.map(lambda leaf: leaf[None], held))
+        found: Motion = _row(followed_through(tracked, start, event, settings).motion, 0)
         return found
 
     first: Any = _row(plan.events.held, 0)
@@ -747,10 +749,10 @@ def chosen(
     tracked: TrackedArm, plan: Plan, begins: Sequence[Gaussian], settings: Settings
 ) -> Gaussian:
     """The start that explains the first measurements best."""
-    last = min(_DECIDES, len(plan.times))
+    events = _first(plan.events, _DECIDES)
     best, most = begins[0], -np.inf
     for start in begins if len(begins) > 1 else ():
-        found = followed_through(tracked, start, plan.events, settings, last=last)
+        found = followed_through(tracked, start, events, settings)
         likely = float(jnp.sum(found.innovation.log_likelihood))
         if likely > most:
             best, most = start, likely
@@ -760,6 +762,11 @@ def chosen(
 def begun_with(system: System, start: Gaussian, watch: Watch | None = None) -> Followed:
     """A filter that begins."""
     return Followed(start, jnp.zeros(system.noise.shape[0], int), watch)
+
+
+def _calls(count: int) -> list[tuple[int, int]]:
+    """Where each call for so many rows begins, and how many of them it has."""
+    return [(begin, min(_CHUNK, count - begin)) for begin in range(0, count, _CHUNK)]
 
 
 def _some(rows: Any, begin: int, size: int) -> Any:
@@ -796,11 +803,9 @@ def rests(values: np.ndarray, noise: np.ndarray) -> bool:
     return bool(np.all(square < (_MOVES * noise) ** 2))
 
 
-def learning(estimated: Array, watch: Watch, values: np.ndarray, noise: np.ndarray) -> Array:
+def learning(estimated: Array, directions: Array, values: np.ndarray, noise: np.ndarray) -> Array:
     """Which states measurements change: parameters where the arm moves, too."""
-    return (
-        estimated & ~jnp.any(watch.directions != 0, axis=0) if rests(values, noise) else estimated
-    )
+    return estimated & ~jnp.any(directions != 0, axis=0) if rests(values, noise) else estimated
 
 
 def _one_call(
@@ -816,7 +821,7 @@ def _one_call(
     some, estimated, watch = _some(events, begin, size), settings.estimated, settings.watch
     if watch is not None:
         values = np.where(some.there, some.values, np.nan)
-        estimated = learning(estimated, watch, values, np.asarray(system.noise))
+        estimated = learning(estimated, watch.directions, values, np.asarray(system.noise))
     if watch is not None and about is None:
         # So that it is one program.
         nowhere = jnp.full((_CHUNK, followed.state.mean.shape[0]), jnp.nan)
@@ -832,14 +837,11 @@ def followed_through(
     events: Events,
     settings: Settings,
     about: tuple[Array, Array] | None = None,
-    last: int | None = None,
 ) -> Filtered:
-    """The filter over all events, or so many, whether or not something has changed."""
+    """The filter over all events, whether or not something has changed."""
     followed = start if isinstance(start, Followed) else begun_with(system, start, settings.watch)
     parts = []
-    count = len(events.values) if last is None else last
-    for begin in range(0, count, _CHUNK):
-        size = min(_CHUNK, count - begin)
+    for begin, size in _calls(len(events.values)):
         followed, found = _one_call(system, followed, events, settings, begin, size, about)
         parts.append(_first(found, size))
     rows: Filtered = _joined(parts)
@@ -875,10 +877,8 @@ def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: 
         )
         seconds.append((clock.perf_counter() - begun) / _CHUNK)
         watch, suspected = settings.watch, found.suspected
-        if watch is None or suspected is None:
-            far = np.zeros(0, int)
-        else:
-            far = np.flatnonzero(suspected.square[:size] > CHANGED**2)
+        squares = np.zeros(size) if suspected is None else suspected.square[:size]
+        far = np.flatnonzero(squares > CHANGED**2)
         if watch is None or suspected is None or not far.size:
             parts.append(_first(found, size))
             followed, begin = last, begin + size
@@ -914,9 +914,7 @@ def smoothed_through(rows: Filtered) -> Gaussian:
     after: Any = _row(rows.state, -1)
     parts: list[Gaussian] = [jax.tree.map(lambda leaf: leaf[None], after)]
     given = (_first(rows.state, -1), jax.tree.map(lambda leaf: leaf[1:], rows.motion))
-    count = len(rows.state.mean) - 1
-    for begin in reversed(range(0, count, _CHUNK)):
-        size = min(_CHUNK, count - begin)
+    for begin, size in reversed(_calls(len(rows.state.mean) - 1)):
         states, motions = _some(given, begin, size)
         found = smoothed_states(after, states, motions, jnp.arange(_CHUNK) < size)
         after = _row(found, 0)
@@ -930,29 +928,26 @@ def linearised_again(
 ) -> tuple[Gaussian, Filtered]:
     """Smoothed and filtered states, linearised about the smoothed ones until parameters stay."""
     smooth = smoothed_through(rows)
-    watch = settings.watch
-    for _ in range(0 if watch is None else _ROUNDS):
-        assert watch is not None
+    if settings.watch is None:
+        return smooth, rows
+    directions = settings.watch.directions
+    for _ in range(_ROUNDS):
         mean = smooth.mean
         about = (jnp.concatenate([mean[:1], mean[:-1]]), mean)
         again = followed_through(system, start, events, settings, about)
         better = smoothed_through(again)
         if not np.all(np.isfinite(better.mean)):
             break
-        far = jnp.abs((better.mean - smooth.mean) @ watch.directions.T)
+        far = jnp.abs((better.mean - smooth.mean) @ directions.T)
         smooth, rows = better, again
-        if jnp.all(far < _STAYS * jnp.linalg.norm(watch.directions @ better.root, axis=-1)):
+        if jnp.all(far < _STAYS * jnp.linalg.norm(directions @ better.root, axis=-1)):
             break
     return smooth, rows
 
 
 def _of_each(function: Callable[..., Any], tracked: TrackedArm, rows: Any) -> Any:
-    count = len(jax.tree.leaves(rows)[0])
-    parts = []
-    for begin in range(0, count, _CHUNK):
-        size = min(_CHUNK, count - begin)
-        parts.append(_first(function(tracked, *_some(rows, begin, size)), size))
-    return _joined(parts)
+    calls = _calls(len(jax.tree.leaves(rows)[0]))
+    return _joined([_first(function(tracked, *_some(rows, *call)), call[1]) for call in calls])
 
 
 def _ahead(tracked: TrackedArm, plan: Plan, states: Gaussian, late: float) -> Gaussian:

@@ -75,7 +75,7 @@ class DelayedFilter(Generic[Kept]):
 
     Where states are watched, a change of one is looked for, too; from when it happened the filter
     goes on with that state as uncertain as at the start. And what is kept is linearised once more,
-    about the smoothed states, after 10 s, 20 s, 40 s and so on.
+    about the smoothed states, after 10 s, 30 s, 70 s and so on.
 
     Arguments:
         system: what is tracked.
@@ -110,6 +110,7 @@ class DelayedFilter(Generic[Kept]):
         self._gate = jnp.asarray(gate, float)
         states = start.mean.shape[0]
         self._estimated = jnp.ones(states, bool) if estimated is None else estimated
+        self._learnt = self._estimated
         self._nothing = np.full(system.noise.shape[0], np.nan)
         self._watched, self._begun = watched, start
         self._recent: deque[tuple[float, np.ndarray]] = deque()
@@ -160,9 +161,8 @@ class DelayedFilter(Generic[Kept]):
             return False
         later = self._clones[place:]
         del self._clones[place:]
-        self._recent.append((time, values))
-        while self._recent[0][0] < self._recent[-1][0] - _RECENT:
-            self._recent.popleft()
+        if self._watched is not None:
+            self._learn(time, values, self._watched)
         self._go_on(time, values)
         self._repeat(later)
         if self._watched is not None:
@@ -186,6 +186,15 @@ class DelayedFilter(Generic[Kept]):
             followed, _ = self._after(followed, self._event(begin, end, self._nothing))
             begin = end
         return followed.state
+
+    def _learn(self, time: float, values: np.ndarray, watched: Array) -> None:
+        """Whether what is watched is learnt from now on."""
+        self._recent.append((time, values))
+        while self._recent[0][0] < self._recent[-1][0] - _RECENT:
+            self._recent.popleft()
+        table = np.stack([row for _, row in self._recent])
+        noise = np.asarray(self.system.noise)
+        self._learnt = learning(self._estimated, watched, table, noise)
 
     def _go_on(self, time: float, values: np.ndarray, loosened: Array | None = None) -> None:
         begin = self._clones[-1].time
@@ -264,11 +273,7 @@ class DelayedFilter(Generic[Kept]):
         )
 
     def _after(self, before: Followed, event: Events) -> tuple[Followed, Filtered]:
-        estimated = self._estimated
-        if before.watch is not None and self._recent:
-            values = np.stack([values for _, values in self._recent])
-            estimated = learning(estimated, before.watch, values, np.asarray(self.system.noise))
-        return followed_by(self.system, before, event, estimated, self._gate)
+        return followed_by(self.system, before, event, self._learnt, self._gate)
 
     def _forget(self) -> None:
         old = self.time - self._history
@@ -350,7 +355,7 @@ class Tracker:
         count = self.arm.joints
         rest = np.zeros(count)
         first = rest if command is None else _row("command", command, count)
-        self._free = len(given.estimated)
+        self._free = tuple(given.estimated)
         self._knots = [float(time)]
         self._commands = [first]
         history = max(history, _WINDOW) if given.estimated else history
@@ -363,15 +368,14 @@ class Tracker:
         estimated = estimated_states(self.arm, given)
         still = jnp.zeros(self.arm.size) if given.estimated else None
         nothing = jnp.zeros(len(noise))
+        watched = watched_parameters(self.arm, given)
+        watch = None if watched is None else watching(watched, 1)
 
         def motion(start: Gaussian, held: Held) -> Motion:
             event = Events(held, nothing, nothing > 0, still)
-            watched = watched_parameters(self.arm, given)
-            watch = None if watched is None else watching(watched, 1)
             begun = begun_with(self.arm, start, watch)
-            return followed_by(self.arm, begun, event, estimated, jnp.asarray(gate, float))[
-                1
-            ].motion
+            _, found = followed_by(self.arm, begun, event, estimated, jnp.asarray(gate, float))
+            return found.motion
 
         known = (self.arm, self._held(time - SHORT, time), given, initial, motion)
         found = [] if angles is not None else starts(*known, rest=(True,))
@@ -384,7 +388,7 @@ class Tracker:
             history=history,
             gate=gate,
             estimated=estimated,
-            watched=watched_parameters(self.arm, given),
+            watched=watched,
         )
 
     def update(self, row: Mapping[str, float]) -> States:
@@ -446,9 +450,14 @@ class Tracker:
     @property
     def changes(self) -> tuple[Change, ...]:
         """Estimated parameters that have changed."""
-        paths = self.arm.paths[len(self.arm.paths) - self._free :]
         return tuple(
-            Change(paths[int(found.which)], time, seen, float(found.size), float(found.deviation))
+            Change(
+                self._free[int(found.which)],
+                time,
+                seen,
+                float(found.size),
+                float(found.deviation),
+            )
             for time, seen, found in self.filter.changes
         )
 

@@ -18,6 +18,7 @@ from ..wind import first_guess
 from ._arm import Air, Bias, TrackedArm, delay_path
 from ._rounds import GATE
 from ._track import (
+    SHOWN,
     Track,
     Unknown,
     arm_model,
@@ -334,9 +335,6 @@ def nees(found: Track, truth: Run) -> tuple[float, float]:
     return float(np.mean(off * solved)), float(np.mean(np.abs(off) < 1.96 * spread))
 
 
-_SEEN = 0.9  # of what the deviation was before
-
-
 def unseen(
     model: AbstractModel | FitResult,
     run: Run,
@@ -372,7 +370,7 @@ def unseen(
     return [
         (name, float(before[index]), float(after[index]))
         for name, index in _named(tracked)
-        if before[index] > 0 and after[index] > _SEEN * before[index]
+        if before[index] > 0 and after[index] > SHOWN * before[index]
     ]
 
 
