@@ -394,10 +394,11 @@ def test_an_estimate_without_process_noise_is_that_of_a_fit(still_arm):
     drag = "air.drag_coefficient"
     run = leaking(still_arm, left=1.0)
     true = float(still_arm.air.drag_coefficient)
-    model = giajax.ArmModel(replace(still_arm, {drag: 0.75 * true}))
+    # From twice the drag: linearised about that on the way, the filter alone is too far off.
+    model = giajax.ArmModel(replace(still_arm, {drag: 2.0 * true}))
     fitted = giajax.fit(model, run, free=[drag], nuisances=False).parameters[drag]
     # Of a start that is as sure as it is to the fit, and of a model that is exact.
-    unknown = Unknown(estimated={drag: 0.3 * true}, torque=1e-9, at_start=(1e-7, 1e-7))
+    unknown = Unknown(estimated={drag: 0.6 * true}, torque=1e-9, at_start=(1e-7, 1e-7))
     found = track(model, run, unknown=unknown)
     assert fitted.standard_error is not None
     error = found.smoothed.parameter_deviations[drag][-1]
@@ -405,8 +406,8 @@ def test_an_estimate_without_process_noise_is_that_of_a_fit(still_arm):
         fitted.value, abs=0.1 * fitted.standard_error
     )
     assert error == pytest.approx(fitted.standard_error, rel=0.05)
-    # On the way it is linearised where it is not, yet: that is why it is done again.
-    assert abs(found.filtered.parameters[drag][-1] - fitted.value) < 4 * error
+    off = abs(found.filtered.parameters[drag][-1] - fitted.value)
+    assert 0.2 * fitted.standard_error < off < 4 * error
 
 
 @pytest.mark.slow
