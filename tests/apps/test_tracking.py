@@ -327,13 +327,13 @@ STIFFNESS = "joints.pitch_stiffness"
 TIP = {f"tip_{axis}": 0.005 for axis in "xyz"}
 
 
-def leaking(arm, *, at=30.0, left=0.8, lasts=60.0, moves=True):
+def leaking(arm, *, at=30.0, left=0.8, lasts=60.0, moves=True, rate=5, pushed=0.4):
     """A run of an arm whose pitch stiffness falls, for which its base is moved again and again."""
-    times = np.linspace(0.0, lasts, round(5 * lasts) + 1)
+    times = np.linspace(0.0, lasts, round(rate * lasts) + 1)
     rng = np.random.default_rng(3)
     begins = np.arange(0.0, lasts + 1, 5.0)
     angles = np.zeros((len(begins), LINKS))
-    angles[1:, 0] = rng.uniform(-0.4, 0.4, len(begins) - 1) * moves
+    angles[1:, 0] = rng.uniform(-pushed, pushed, len(begins) - 1) * moves
     command = giajax.simulation.ramps(begins, angles)
     value = float(arm.joints.pitch_stiffness)
     before, after = times[times <= at], times[times >= at]
@@ -388,6 +388,21 @@ def test_a_leak_is_found_with_its_time_and_followed(still_arm):
     rests = track(model, leaking(still_arm, moves=False), unknown=unknown)
     assert rests.changes == ()
     assert rests.smoothed.parameter_deviations[STIFFNESS][-1] > 0.9 * 0.2 * value
+
+
+def test_a_slow_arm_is_learnt_from_at_a_hundred_rows_a_second(still_arm):
+    # Within a second it moves by less than the noise.
+    run = leaking(still_arm, left=1.0, at=10.0, lasts=20.0, rate=100, pushed=0.3)
+    noise = {f"tip_{axis}": 0.05 for axis in "xyz"}
+    rng = np.random.default_rng(4)
+    values = {
+        name: column + 0.05 * rng.normal(size=column.shape) * (name in noise)
+        for name, column in run.values.items()
+    }
+    run = Run.from_arrays(run.times, values, name="slow", noise=noise)
+    value = float(still_arm.joints.pitch_stiffness)
+    found = track(giajax.ArmModel(still_arm), run, unknown=Unknown(estimated={STIFFNESS: value}))
+    assert found.smoothed.parameter_deviations[STIFFNESS][-1] < 0.7 * value
 
 
 def test_an_estimate_without_process_noise_is_that_of_a_fit(still_arm):
@@ -461,9 +476,35 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
         (["--live", "0"], "give a positive number of seconds"),
         (["--free", "arm.nothing"], "arm.nothing"),
         (["--free", f"{STIFFNESS}=-1"], "give one positive number"),
+        (["--free", STIFFNESS, "--uncertain", f"{STIFFNESS}=1"], "by --free and by --uncertain"),
+        (["--truth", str(tmp_path / "none.csv")], "none.csv"),
     ):
         assert main(["track", str(path), *wrong, "--out", str(tmp_path / "no")]) == 2
         assert says in capsys.readouterr().err
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"".join(rows[:2]))))
     assert main(["track", "-", *given, "--out", str(tmp_path / "no")]) == 2
     assert "before its second row" in capsys.readouterr().err
+    for place, says in ((tmp_path, "is a folder"), (tmp_path / "none.csv", "does not exist")):
+        assert (
+            main(["track", str(place), *given, "--live", "1", "--out", str(tmp_path / "no")]) == 2
+        )
+        assert says in capsys.readouterr().err
+
+    # Lines that are no rows cost nothing but themselves.
+    wrong = rows[:20]
+    wrong[10:10] = [b"\n", rows[9], b"1,2\n", b",".join([b"x"] * rows[0].count(b",")) + b",1\n"]
+    whole = b"".join([b"\n", *wrong, rows[20][:-4]])
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(whole)))
+    assert main(["track", "-", *given, "--json", "--out", str(tmp_path / "some")]) == 0
+    said = capsys.readouterr().err
+    named = [k for k in range(30) if f"row {k} " in said or f"row {k}," in said]
+    assert named == [13, 14, 15, 26]
+    assert (tmp_path / "some" / "recorded.csv").read_bytes() == b"".join(rows[:20])
+
+    # A checksum in the sidecar is of the run once it is complete.
+    stated_there = path.with_suffix(".toml").read_text()
+    assert "sha256" in stated_there
+    growing.with_suffix(".toml").write_text(stated_there)
+    again = ["--live", "0.5", "--latency", "2", "--json", "--out", str(tmp_path / "again")]
+    assert main(["track", str(growing), "--no-judge", *again]) == 0
+    assert len(lines()) > 5

@@ -395,3 +395,95 @@ def test_root_of_a_sum_is_triangular_also_of_few_columns():
         np.testing.assert_allclose(
             root @ root.T, sum(each @ each.T for each in several), atol=1e-13
         )
+
+
+class Cart(eqx.Module):
+    """It moves by an unknown gain times what is known of each interval, and two clocks see it."""
+
+    noise: jax.Array
+
+    def moved(self, vector, held):
+        slope = jnp.array([[1.0, 0.0], [0.0, 1.0]]).at[0, 1].set(held)
+        return slope @ vector, slope, jnp.array([[1e-6], [0.0]])
+
+    def shown(self, vector, held):
+        slope = jnp.array([[1.0, 0.0], [1.0, 0.0]])
+        return slope @ vector, slope
+
+
+def driven(begin, end):
+    """The integral of a sine, of which a period takes 5 s."""
+    pace = 2 * np.pi / 5
+    return jnp.asarray(4 * (np.cos(pace * begin) - np.cos(pace * end)))
+
+
+def follows(interval=driven):
+    start = Gaussian(jnp.array([0.0, 1.0]), jnp.diag(jnp.array([0.1, 0.2])))
+    return DelayedFilter(
+        Cart(jnp.array([1.0, 1.0])),
+        0.0,
+        start,
+        interval,
+        history=60.0,
+        watched=jnp.array([[0.0, 1.0]]),
+    )
+
+
+def test_a_small_change_is_found_at_a_hundred_rows_a_second_by_two_clocks():
+    rng = np.random.default_rng(8)
+    follower = follows()
+    place, gain, last = 0.0, 1.0, 0.0
+    late = None
+    for step in range(1, 801):
+        # The clocks are 1 ms apart, and show one time now and then.
+        for channel, time in enumerate((0.02 * step, 0.02 * step + 0.001 * (step % 5 > 0))):
+            gain = 1.0 if time <= 8.0 else 0.9
+            place += gain * float(driven(last, time))
+            last = time
+            row = np.full(2, np.nan)
+            row[channel] = place + rng.normal()
+            if step == 375 and channel == 0:  # comes later
+                late = (time, row)
+                continue
+            follower.measure(time, row)
+    ((begun, seen, found),) = follower.changes
+    # A watch that looks back over 4 s only would not find it.
+    assert begun == pytest.approx(8.0, abs=3.0)
+    assert seen - begun > 4.0
+    assert float(found.size) == pytest.approx(-0.1, abs=4 * float(found.deviation))
+    before = follower.state
+    spread = float(before.deviations[1])
+    assert float(before.mean[1]) == pytest.approx(0.9, abs=4 * spread)
+    assert spread < 0.05
+
+    # A row of the time before the change neither brings back what was watched before, nor is the
+    # gain allowed to change twice.
+    assert begun - 2.5 < late[0] < begun + 2.5
+    assert follower.measure(*late)
+    for time in (16.1, 16.2):
+        follower.measure(time, [np.nan, np.nan])
+    assert len(follower.changes) == 1
+    assert float(follower.state.mean[1]) == pytest.approx(float(before.mean[1]), abs=0.1 * spread)
+    assert float(follower.state.deviations[1]) == pytest.approx(spread, rel=0.02)
+
+
+def test_what_rests_teaches_nothing_and_an_outlier_is_no_motion():
+    follower = follows(lambda begin, end: jnp.asarray(0.001 * (end - begin)))
+    rng = np.random.default_rng(9)
+    for step in range(1, 200):
+        outlier = 40.0 if step in (50, 120) else 0.0
+        follower.measure(0.1 * step, [outlier + rng.normal(), np.nan])
+    assert float(follower.state.deviations[1]) == pytest.approx(0.2, rel=1e-9)
+
+    # Each measurement that comes late is judged by the time at which it was taken.
+    follower = follows(lambda begin, end: driven(max(begin, 20.0), max(end, 20.0)))
+    for step in range(1, 300):
+        shown = max(0.1 * step, 20.0)
+        follower.measure(0.1 * step, [float(driven(20.0, shown)) + rng.normal(), np.nan])
+    moved = follower.state
+    assert float(moved.deviations[1]) < 0.05
+    for step in range(1, 20):
+        follower.measure(0.1 * step, [np.nan, rng.normal()])
+    assert float(follower.state.deviations[1]) == pytest.approx(
+        float(moved.deviations[1]), rel=0.02
+    )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..runtime.process import configure
+from ..runtime.process import configure, go_on
 from ..runtime.text import InputError
 from ._commands import (
     Force,
@@ -175,15 +175,24 @@ def track(
     from ..report import study_page, to_png
 
     fitted = model is not None and is_result(model)
+    true = None if truth is None else read_run(truth)
+    considered = _numbers(uncertain, "--uncertain")
 
     def known_of(recorded: "Run") -> tuple[Any, Unknown]:
         source = load_result(model) if fitted and model else model_of(model, [recorded])
         decay = 12.0 if coherence is None else coherence
+        estimated = _estimated(free, source)
+        for path in estimated:
+            if path in considered:
+                raise InputError(
+                    f"{path} is given by --free and by --uncertain: give it by one, as it is "
+                    "estimated or is not"
+                )
         return source, Unknown(
             air=None if flow is None else _air(source, flow, parts, length_scale, decay, places),
             biases=_biases(recorded, bias),
-            considered=_numbers(uncertain, "--uncertain"),
-            estimated=_estimated(free, source),
+            considered=considered,
+            estimated=estimated,
             torque=torque,
         )
 
@@ -194,8 +203,9 @@ def track(
             live,
             lambda data, path: some(run_of_lines(data, path, **how_read)),
             known_of,
-            gate,
             how_read["rename"],
+            gate=gate,
+            latency=latency,
             as_json=as_json,
             quiet=quiet,
         )
@@ -207,8 +217,8 @@ def track(
     found = tracked(source, recorded, unknown=unknown, latency=latency, gate=gate, progress=say)
     verdict = judge(source, found, progress=say, look=not no_judge)
     facts = track_facts(found, verdict, hidden)
-    if truth is not None:
-        square, share = nees(found, read_run(truth))
+    if true is not None:
+        square, share = nees(found, true)
         facts["truth"] = {"nees_per_state": square, "within_95_percent": share}
     text = json.dumps(facts, indent=2, allow_nan=False)
     picture = to_png(track_figure(found))
@@ -228,7 +238,7 @@ def track(
         typer.echo(json.dumps(facts, allow_nan=False) if followed else text)
     elif not quiet:
         _show(found, verdict, hidden)
-        if truth is not None:
+        if true is not None:
             typer.echo(f"truth: NEES {square:.3g} per state, {share:.1%} within the 95 % bands")
         say_written(out, [*contents, _RUN])
         if page is None:
@@ -241,48 +251,50 @@ def _follow(
     patience: float | None,
     read: Any,
     known_of: Any,
-    gate: float,
     rename: dict[str, str],
     *,
+    gate: float,
+    latency: float,
     as_json: bool,
     quiet: bool,
 ) -> "Run":
-    """Track a run while it is recorded; the run of its complete lines."""
-    from ..apps.tracking import followed_live, heard_facts, heard_line, lines_of
+    """Track a run while it is recorded; the run of its rows."""
+    from ..apps.tracking import LiveRows, followed_live, heard_facts, heard_line, lines_of
     from ..recordings import make_folder
 
-    path, copy, kept = run, None, bytearray()
+    copy = None
     if run == _STANDARD_INPUT:
-        make_folder(out)
-        path = out / _HEARD
-        copy = path.open("wb")
-        came: Any = iter(sys.stdin.buffer.readline, b"")
-    elif run.is_file():
-        came = lines_of(run, _PATIENCE if patience is None else patience)
-    else:
+        lines: Iterator[bytes] = iter(sys.stdin.buffer.readline, b"")
+    elif not run.exists():
         raise InputError(f"{run} does not exist: give a file that is being recorded")
-
-    def lines() -> "Iterator[bytes]":
-        for line in came:
-            kept.extend(line)
-            if copy is not None:
-                copy.write(line)
-                copy.flush()
-            yield line
-
-    given: Any = {"path": path, "rename": rename, "gate": gate}
+    elif run.is_dir():
+        raise InputError(f"{run} is a folder: give a file that is being recorded")
+    else:
+        lines = lines_of(run, _PATIENCE if patience is None else patience)
+    rows = LiveRows(lines, run, rename, lambda text: typer.echo(text, err=True))
+    path = out / _HEARD if run == _STANDARD_INPUT else run
+    given: Any = {"latency": latency, "gate": gate}
+    written = 0
     try:
-        for heard in followed_live(lines(), lambda data: read(data, path), known_of, **given):
+        for heard in followed_live(rows, lambda data: read(data, path), known_of, **given):
+            if run == _STANDARD_INPUT:
+                if copy is None:
+                    make_folder(out)
+                    copy = path.open("wb")
+                written += copy.write(rows.kept[written:])
+                copy.flush()
             if as_json:
                 typer.echo(json.dumps(heard_facts(heard), allow_nan=False))
             elif not quiet:
                 typer.echo(heard_line(heard))
     except KeyboardInterrupt:
         typer.echo("stopped: what was recorded until now is tracked", err=True)
+        go_on()
     finally:
         if copy is not None:
+            copy.write(rows.kept[written:])
             copy.close()
-    return read(bytes(kept), path)
+    return read(bytes(rows.kept), path)
 
 
 def _estimated(given: list[str] | None, source: Any) -> dict[str, float]:

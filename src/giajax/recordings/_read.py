@@ -178,7 +178,13 @@ def read_run(
     path = Path(path)
     # First, because it may name a model whose columns a package declares.
     sidecar = read_sidecar(path)
-    return _with_sidecar(read_table(path, rename), path, sidecar, definition)
+    table = read_table(path, rename)
+    if sidecar.sha256 is not None and sidecar.sha256 != table.sha256:
+        raise InputError(
+            f"{path} has the SHA-256 {table.sha256[:12]}..., but {sidecar_path(path)} says "
+            f"{sidecar.sha256[:12]}...: get the file again, or correct sha256 there"
+        )
+    return _with_sidecar(table, path, sidecar, definition)
 
 
 def run_of_lines(
@@ -188,7 +194,10 @@ def run_of_lines(
     rename: Mapping[str, str] | None = None,
     definition: Definition | None = None,
 ) -> Run:
-    """As `read_run`, of lines of a file that may still grow; the first names its columns."""
+    """As `read_run`, of lines of a file that may still grow; the first names its columns.
+
+    A checksum that the sidecar states is of the whole file, and does not count.
+    """
     sidecar = read_sidecar(path)
     return _with_sidecar(table_of_lines(data, path, rename), path, sidecar, definition)
 
@@ -196,11 +205,6 @@ def run_of_lines(
 def _with_sidecar(
     table: Table, path: Path, sidecar: Definition, definition: Definition | None
 ) -> Run:
-    if sidecar.sha256 is not None and sidecar.sha256 != table.sha256:
-        raise InputError(
-            f"{path} has the SHA-256 {table.sha256[:12]}..., but {sidecar_path(path)} says "
-            f"{sidecar.sha256[:12]}...: get the file again, or correct sha256 there"
-        )
     if definition is not None:
         keys = run_keys(model=True)
         contents = {key: item for key, item in definition.contents().items() if key in keys}

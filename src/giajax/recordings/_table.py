@@ -107,7 +107,9 @@ def csv_lines(data: bytes, path: Path, separator: str = ",") -> bytes:
     return data.rstrip(b"\n")
 
 
-def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
+def split_csv(
+    data: bytes, path: Path, first_row: int = 2
+) -> tuple[list[str], list[pl.Series], int]:
     """Header, columns of text (null = empty cell), and the line of the first sample.
 
     Raises:
@@ -135,14 +137,15 @@ def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]
                     "it with giajax import"
                 )
     if not body:
-        return header, [], 2
+        return header, [], first_row
     if b'"' in body:
-        columns = zip(*csv_rows(body, path, 2, width=len(header)), strict=True)
-        return header, [pl.Series("", list(each), dtype=pl.String) for each in columns], 2
-    _check_widths(body, len(header), path, 2)
+        columns = zip(*csv_rows(body, path, first_row, width=len(header)), strict=True)
+        found = [pl.Series("", list(each), dtype=pl.String) for each in columns]
+        return header, found, first_row
+    _check_widths(body, len(header), path, first_row)
     # Below a line of its own: Polars drops a byte order mark and empty lines at the top.
     top = b",".join([b"0"] * len(header)) + b"\n"
-    return header, _text(top + body)[1:].get_columns(), 2
+    return header, _text(top + body)[1:].get_columns(), first_row
 
 
 def _text(lines: bytes, separator: str = ",") -> pl.DataFrame:
@@ -268,9 +271,14 @@ def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
     return _table_of(*_split(path), path, rename)
 
 
-def table_of_lines(data: bytes, path: Path, rename: Mapping[str, str] | None = None) -> Table:
-    """As `read_table`, of lines of a CSV file of which the first names the columns."""
-    return _table_of(data, *split_csv(data, path), path, rename)
+def table_of_lines(
+    data: bytes, path: Path, rename: Mapping[str, str] | None = None, first_row: int = 2
+) -> Table:
+    """As `read_table`, of lines of a CSV file of which the first names the columns.
+
+    Errors call the line after that `first_row`.
+    """
+    return _table_of(data, *split_csv(data, path, first_row), path, rename)
 
 
 def _table_of(

@@ -66,6 +66,12 @@ def is_stopped() -> bool:
     return _first is not None or (stop is not None and stop.is_set())
 
 
+def go_on() -> None:
+    """Say that what was signalled has stopped, and something else follows; a second one ends it."""
+    global _first
+    _first = None
+
+
 def stop_if_asked(_: Any = None) -> None:
     """Stop what was signalled, where the exception was lost, as in a callback of a library."""
     if is_stopped():

@@ -17,6 +17,7 @@ from ._filter import (
 )
 from ._live import (
     Heard as Heard,
+    LiveRows as LiveRows,
     followed_live as followed_live,
     lines_of as lines_of,
 )
@@ -39,6 +40,7 @@ from ._rounds import (
     Events as Events,
     Filtered as Filtered,
     Followed as Followed,
+    Learning as Learning,
     Motion as Motion,
     Suspected as Suspected,
     System as System,

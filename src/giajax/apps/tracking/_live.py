@@ -1,6 +1,8 @@
 """A run that is still being recorded, tracked while its lines come."""
 
+import csv
 import dataclasses
+import itertools
 import time as clock
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -10,14 +12,23 @@ import numpy as np
 
 from ...fitting import FitResult
 from ...models import AbstractModel
-from ...recordings import Channel, Run, table_of_lines
+from ...recordings import Run, table_of_lines
 from ...runtime.text import InputError
+from ...schema import CommandSection, InitialSection, WindSection
 from ._rounds import GATE
-from ._track import SHOWN, Change, States, Unknown, arm_model, noise_of
+from ._track import (
+    LATELY,
+    SHOWN,
+    Change,
+    States,
+    Unknown,
+    correlated_noise_of,
+    model_and_unknown,
+    noise_of,
+)
 from ._tracker import Tracker
 
 _POLL = 0.2  # s
-_RECENT = 10.0  # s, of which innovations are averaged
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,19 +39,23 @@ class Heard:
         time: the stamp of the last row, s.
         now: what is expected of that time.
         shown: estimated parameters of which the run has shown something.
-        nis: mean square of the innovations of the last 10 s, as numbers of deviation 1.
+        nis: mean square of the innovations of the last 10 s that counted, as numbers of deviation
+            1; None where there are none.
         changes: of parameters, that were found since the one before.
     """
 
     time: float
     now: States
     shown: frozenset[str]
-    nis: float
+    nis: float | None
     changes: tuple[Change, ...]
 
 
 def lines_of(path: Path, patience: float) -> Iterator[bytes]:
-    """Complete lines of a file that grows, until it has not grown for so long (s)."""
+    """Lines of a file that grows, until it has not grown for so long (s).
+
+    The last one has no newline where the file ends within it.
+    """
     with path.open("rb") as file:
         part, last = b"", clock.monotonic()
         while True:
@@ -50,80 +65,118 @@ def lines_of(path: Path, patience: float) -> Iterator[bytes]:
                     yield part
                     part = b""
             elif clock.monotonic() - last > patience:
-                if part.strip():
+                if part:
                     yield part
                 return
             else:
                 clock.sleep(_POLL)
 
 
+class LiveRows:
+    """Rows of a CSV file whose lines come one after the other; the first names the columns.
+
+    A line that is no row, or whose time is not after that of the row before, is left out with a
+    warning.
+
+    Arguments:
+        lines: of the file, in their order.
+        path: what warnings call it.
+        rename: as of `giajax.read_run`.
+        warn: called with a sentence for each line that is left out.
+
+    Raises:
+        InputError: names that are not those of a run over time.
+
+    Attributes:
+        kept: the header and all rows until now, as a file.
+    """
+
+    def __init__(
+        self,
+        lines: Iterator[bytes],
+        path: Path,
+        rename: Mapping[str, str] | None,
+        warn: Callable[[str], None],
+    ) -> None:
+        self.kept = bytearray()
+        self._lines = enumerate(lines, 1)
+        self._path, self._rename, self._warn = path, rename, warn
+        self._header = next((line for _, line in self._lines if line.strip()), b"")
+        self.kept += self._header
+        names = next(csv.reader([self._header.decode("utf-8", "replace")]), [])
+        # With a row without numbers: names that are none are no fault of the rows.
+        table = table_of_lines(self._header + b"," * (len(names) - 1) + b"\n", path, rename)
+        if table.times is None:
+            raise InputError(f"{path} has no time_s, by which it is tracked: give it")
+
+    def __iter__(self) -> Iterator[tuple[float, Mapping[str, np.ndarray]]]:
+        """Time (s) and values (SI, arrays of one) of each row."""
+        last = -np.inf
+        for number, line in self._lines:
+            if not line.strip():
+                continue
+            try:
+                if not line.endswith(b"\n"):
+                    raise InputError(f"{self._path}: row {number} is not complete")
+                table = table_of_lines(self._header + line, self._path, self._rename, number)
+                assert table.times is not None
+                time = float(table.times[0])
+                if not last < time < np.inf:
+                    raise InputError(
+                        f"{self._path}: row {number} has no time after that of the row before"
+                    )
+            except InputError as error:
+                self._warn(f"left out: {error}")
+                continue
+            last = time
+            self.kept += line
+            yield time, table.values
+
+
 def followed_live(
-    lines: Iterator[bytes],
+    rows: LiveRows,
     read: Callable[[bytes], Run],
     known_of: Callable[[Run], tuple[AbstractModel | FitResult, Unknown]],
     *,
-    path: Path,
-    rename: Mapping[str, str] | None = None,
+    latency: float = 0.0,
     gate: float = GATE,
     every: float = 1.0,
 ) -> Iterator[Heard]:
-    """Track a run while its lines come, the first of which names the columns.
+    """Track a run while its rows come.
 
     Arguments:
-        lines: of a CSV file, in their order.
-        read: makes a run of lines.
+        rows: with commands and measurements.
+        read: makes a run of what is kept of them.
         known_of: gives the arm, or a fit of it, and what is unknown beside the motion, of the
-            first rows.
-        path: what errors call the file.
-        rename: as of `giajax.read_run`.
+            first two rows.
+        latency: after its stamp a row is there, s: what is expected is of that time.
         gate: deviations; a measurement that is farther off does not count.
         every: of the recorded time, s, something is said.
 
     Raises:
-        InputError: lines that are no run, or a run that cannot be tracked while it is recorded.
+        InputError: less than two rows, or a run that cannot be tracked while it is recorded.
     """
-    begun = [line for _, line in zip(range(3), lines, strict=False)]
-    if len(begun) < 3:
-        raise InputError(f"{path} has ended before its second row: give a header line and rows")
-    header = begun[0]
-    first = read(b"".join(begun))
-    if first.times is None:
-        raise InputError(f"{path} has no time_s, by which it is tracked: give it")
-    if first.winds:
-        raise InputError(
-            f"{path} has columns of a wind, which is not known before it blows: leave them out, or "
-            "track the run once it has ended"
-        )
-    source, what = known_of(first)
-    result = source if isinstance(source, FitResult) else None
-    names = [*first.commands, *first.observations]
-    command = np.zeros(arm_model(source).arm.count)
-    for name in first.commands:
-        channel = Channel.named(name)
-        if channel.kind == "joint_command" and channel.index and channel.index <= len(command):
-            command[channel.index - 1] = first.values[name][0]
-    tracker = Tracker(
-        source,
-        noise=noise_of(first, list(first.observations), result),
-        unknown=what,
-        time=float(first.times[0]),
-        command=command,
-        gate=gate,
-    )
+    coming = iter(rows)
+    begun = list(itertools.islice(coming, 2))
+    if len(begun) < 2:
+        raise InputError("the run has ended before its second row: give a header line and rows")
+    first = read(bytes(rows.kept))
+    tracker, what = _tracker_of(first, known_of, gate)
     recent: deque[tuple[float, float, int]] = deque()
     changes = 0
 
-    def row(time: float, values: Mapping[str, np.ndarray], k: int) -> None:
-        there = {name: float(values[name][k]) for name in names if np.isfinite(values[name][k])}
+    def take(time: float, values: Mapping[str, np.ndarray]) -> None:
+        names = [*first.commands, *first.observations]
+        there = {name: float(values[name][0]) for name in names if np.isfinite(values[name][0])}
         tracker.update({"time": time, **there})
-        seen = sum(name in tracker.arm.channels for name in there)
-        recent.append((time, float(np.sum(tracker.innovation**2)), seen))
-        while recent[0][0] < time - _RECENT:
+        square = float(np.sum(tracker.innovation**2))
+        recent.append((time, square, int(np.sum(tracker.used))))
+        while recent[0][0] < time - LATELY:
             recent.popleft()
 
     def heard(time: float) -> Heard:
         nonlocal changes
-        now = tracker.now()
+        now = tracker.now(max(time + latency, tracker.filter.time))
         fresh, changes = tracker.changes[changes:], len(tracker.changes)
         shown = frozenset(
             path
@@ -131,25 +184,49 @@ def followed_live(
             if now.parameter_deviations[path][0] < SHOWN * size
         )
         count = sum(each[2] for each in recent)
-        nis = sum(each[1] for each in recent) / max(count, 1)
+        nis = sum(each[1] for each in recent) / count if count else None
         return Heard(time, now, shown, nis, fresh)
 
-    for k, last in enumerate(first.times.tolist()):
-        row(last, first.values, k)
-    said = last
-    yield heard(last)
-    for line in lines:
-        if not line.strip():
-            continue
-        table = table_of_lines(header + line, path, rename)
-        if table.times is None or not np.isfinite(table.times[0]) or table.times[0] <= last:
-            raise InputError(
-                f"{path}: a row comes with no time after {last:g} s: times must increase"
-            )
-        last = float(table.times[0])
-        row(last, table.values, 0)
-        if last - said >= every - 1e-9:
+    said = -np.inf
+    for k, (last, values) in enumerate(itertools.chain(begun, coming)):
+        take(last, values)
+        if k and last - said >= every - 1e-9:
             said = last
             yield heard(last)
     if last > said:
         yield heard(last)
+
+
+def _tracker_of(
+    first: Run,
+    known_of: Callable[[Run], tuple[AbstractModel | FitResult, Unknown]],
+    gate: float,
+) -> tuple[Tracker, Unknown]:
+    """The tracker of a run that begins with these rows, and what is unknown to it."""
+    if first.winds:
+        raise InputError(
+            f"'{first.name}' has columns of a wind, which is not known before it blows: leave "
+            "them out, or track the run once it has ended"
+        )
+    assert first.times is not None
+    source, given = known_of(first)
+    model, what = model_and_unknown(source, first, given)
+    result = source if isinstance(source, FitResult) else None
+    names = list(first.observations)
+    what = dataclasses.replace(what, biases=(*what.biases, *correlated_noise_of(first, names)))
+    inputs = model.prepare(first)
+    stated = first.definition.section(InitialSection)
+    starts = bool(stated.first_row) or bool(stated.values())
+    tracker = Tracker(
+        model,
+        noise=noise_of(first, names, result),
+        unknown=what,
+        time=float(first.times[0]),
+        command=inputs.command.values[0],
+        angles=inputs.initial.angle if starts else None,
+        rates=inputs.initial.rate if starts else None,
+        wind=first.definition.section(WindSection).velocity_m_per_s,
+        held=first.definition.section(CommandSection).interpolation == "zoh",
+        gate=gate,
+    )
+    return tracker, what

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ...report import BLUE, GREY, VERMILLION, Table, new_figure, plain
+from ...runtime.records import plain_data
 from ...schema import CommandSection
 from ._live import Heard
 from ._track import SHOWN, Change, States, Track
@@ -140,7 +141,7 @@ def _quantities(states: States) -> dict[str, tuple[Any, Any, str, float]]:
 def heard_facts(heard: Heard) -> dict[str, Any]:
     """What is known at one time of a run that is being recorded, as plain data."""
     now = heard.now
-    return {
+    facts = {
         "time_s": heard.time,
         "tip_m": now.tip[0].tolist(),
         "tip_deviation_m": now.tip_deviations[0].tolist(),
@@ -156,6 +157,8 @@ def heard_facts(heard: Heard) -> dict[str, Any]:
         "nis": heard.nis,
         "changes": [dataclasses.asdict(change) for change in heard.changes],
     }
+    found: dict[str, Any] = plain_data(facts)
+    return found
 
 
 def heard_line(heard: Heard) -> str:
@@ -172,7 +175,7 @@ def heard_line(heard: Heard) -> str:
         spread = float(now.parameter_deviations[path][0])
         hidden = "" if path in heard.shown else " (not shown yet)"
         parts.append(f"{path} {float(values[0]):.4g} +- {spread:.2g}{hidden}")
-    parts.append(f"NIS {heard.nis:.2f}")
+    parts += [] if heard.nis is None else [f"NIS {heard.nis:.2f}"]
     return "\n".join([*map(change_sentence, heard.changes), "  ".join(parts)])
 
 
@@ -251,11 +254,14 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
         for cause in verdict.causes[1:]
     ]
     notes += [change_sentence(change) for change in found.changes]
-    notes += [
-        f"this run shows nothing about {path}: the arm rests, or moves in another direction"
-        for path, before in found.unknown.estimated.items()
-        if found.smoothed.parameter_deviations[path][-1] > SHOWN * before
-    ]
+    changed = {change.path: change.time for change in found.changes}
+    for path, before in found.unknown.estimated.items():
+        if found.smoothed.parameter_deviations[path][-1] > SHOWN * before:
+            since = f" after {changed[path]:.1f} s" if path in changed else ""
+            notes.append(
+                f"this run shows nothing about {path}{since}: the arm rests, or moves in another "
+                "direction"
+            )
     if hidden:
         names = [name for name, _, _ in hidden]
         notes.append(

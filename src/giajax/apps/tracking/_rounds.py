@@ -36,6 +36,21 @@ class System(Protocol):
         """Channels at the end of an interval, and their derivatives."""
 
 
+class Learning(NamedTuple):
+    """What is said of events to a filter that estimates parameters.
+
+    Attributes:
+        length: of the interval before each, s.
+        moves: whether what is tracked has moved lately, so that measurements show parameters.
+        loosened: by which states may have changed just before each interval, as a column of a root
+            of their covariance.
+    """
+
+    length: Float[Array, " event"]
+    moves: Bool[Array, " event"]
+    loosened: Float[Array, "event state"]
+
+
 class Events(NamedTuple):
     """Times at which something is measured or an interval ends, in their order.
 
@@ -43,18 +58,18 @@ class Events(NamedTuple):
         held: what is known of the interval before each.
         values: measured channels, SI, shape (event, channel).
         there: which of them were measured.
-        loosened: by which states may have changed just before each interval, as a column of a root
-            of their covariance; None: not at all.
+        learning: of a filter with a watch; None without one.
     """
 
     held: Any
     values: Float[Array, "event channel"]
     there: Bool[Array, "event channel"]
-    loosened: Float[Array, "event state"] | None = None
+    learning: Learning | None = None
 
 
 _SLOTS = 20  # times at which a change may have been
-_NEVER = 1 << 30  # events
+EVERY = 2.0
+"""From one of these times to the next, s."""
 
 
 class Watch(NamedTuple):
@@ -65,16 +80,14 @@ class Watch(NamedTuple):
         effect: on the state minus its estimate, shape (change, slot, state).
         score: of the log-likelihood by the size of each change, shape (change, slot).
         information: likewise, shape (change, slot).
-        ages: events since then.
-        every: events from one to the next.
+        ages: since then, s.
     """
 
     directions: Float[Array, "change state"]
     effect: Float[Array, "change slot state"]
     score: Float[Array, "change slot"]
     information: Float[Array, "change slot"]
-    ages: Int[Array, " slot"]
-    every: Int[Array, ""]
+    ages: Float[Array, " slot"]
 
 
 class Suspected(NamedTuple):
@@ -83,19 +96,19 @@ class Suspected(NamedTuple):
     Attributes:
         square: its size over the deviation of that, squared; of the right model chi-square of 1.
         which: of the changes.
-        age: events since then.
+        age: since then, s.
         size: by which it changed.
         deviation: of that.
     """
 
     square: Float[Array, " event"]
     which: Int[Array, " event"]
-    age: Int[Array, " event"]
+    age: Float[Array, " event"]
     size: Float[Array, " event"]
     deviation: Float[Array, " event"]
 
 
-def watching(directions: Array, every: int) -> Watch:
+def watching(directions: Array) -> Watch:
     """A watch that begins."""
     shape = (directions.shape[0], _SLOTS)
     return Watch(
@@ -103,13 +116,13 @@ def watching(directions: Array, every: int) -> Watch:
         jnp.zeros((*shape, directions.shape[1])),
         jnp.zeros(shape),
         jnp.zeros(shape),
-        jnp.full(_SLOTS, _NEVER),
-        jnp.asarray(every),
+        jnp.full(_SLOTS, jnp.inf),
     )
 
 
 def _watched(
     watch: Watch,
+    length: Array,
     slope: Array,
     shows: Array,
     used: Array,
@@ -126,7 +139,7 @@ def _watched(
     information = watch.information + jnp.sum(white**2, axis=-1)
     effect = effect - off @ correction.gain.T
     square = jnp.where(information > 0, score**2 / jnp.maximum(information, 1e-300), 0)
-    ages = jnp.minimum(watch.ages + 1, _NEVER)
+    ages = watch.ages + length
     which, slot = jnp.unravel_index(jnp.argmax(square), square.shape)
     known = information[which, slot]
     suspected = Suspected(
@@ -137,7 +150,7 @@ def _watched(
         1 / jnp.sqrt(jnp.maximum(known, 1e-300)),
     )
     # The oldest time makes room for this one.
-    fresh = (jnp.arange(_SLOTS) == jnp.argmax(ages)) & (jnp.min(ages) >= watch.every)
+    fresh = (jnp.arange(_SLOTS) == jnp.argmax(ages)) & (jnp.min(ages) >= EVERY)
     watch = watch._replace(
         effect=jnp.where(fresh[None, :, None], watch.directions[:, None], effect),
         score=jnp.where(fresh[None], 0, score),
@@ -193,19 +206,23 @@ def filtered(
     gate: Array,
     blind: Array,
     about: tuple[Array, Array] | None = None,
+    count: Array | None = None,
 ) -> tuple[Followed, Filtered]:
     """The filter over all events: what is known after the last, and after each.
 
     `blind`: as if each measured value were the expected one. `about`: the states before and after
     each interval about which it is linearised, shapes (event, state); where they are NaN, and by
-    default, those of the filter.
+    default, those of the filter. Only the first `count` events are, all by default.
     """
+    size = events.values.shape[0]
+    real = jnp.arange(size) < (size if count is None else count)
 
     def one(before: Followed, given: Any) -> tuple[Followed, Filtered]:
-        event, about = given
-        return _one(system, before, event, estimated, gate, blind, about)
+        event, about, real = given
+        after, found = _one(system, before, event, estimated, gate, blind, about)
+        return jax.tree.map(lambda new, old: jnp.where(real, new, old), after, before), found
 
-    return jax.lax.scan(one, start, (events, about))
+    return jax.lax.scan(one, start, (events, about, real))
 
 
 @program
@@ -228,8 +245,14 @@ def _one(
     state, left_out, watch = before
     at = state.mean if about is None else jnp.where(jnp.isfinite(about[0]), about[0], state.mean)
     mean, slope, noise = system.moved(at, event.held)
-    if event.loosened is not None:
-        noise = jnp.concatenate([noise, (slope @ event.loosened)[:, None]], axis=1)
+    learning = event.learning
+    if watch is not None and learning is not None:
+        noise = jnp.concatenate([noise, (slope @ learning.loosened)[:, None]], axis=1)
+        # What is allowed for from here on is not asked about before.
+        anew = jnp.any(learning.loosened != 0)
+        begun = watching(watch.directions)
+        watch = jax.tree.map(lambda new, old: jnp.where(anew, new, old), begun, watch)
+        estimated &= learning.moves | ~jnp.any(watch.directions != 0, axis=0)
     motion = Motion(mean + slope @ (state.mean - at), slope, noise)
     state = moved(state, *motion)
     at = state.mean if about is None else jnp.where(jnp.isfinite(about[1]), about[1], state.mean)
@@ -243,8 +266,9 @@ def _one(
         state, off, slope, system.noise, there=event.there, used=used, estimated=estimated
     )
     suspected = None
-    if watch is not None:
-        watch, suspected = _watched(watch, motion.slope, slope, used, correction, innovation)
+    if watch is not None and learning is not None:
+        both = (motion.slope, slope)
+        watch, suspected = _watched(watch, learning.length, *both, used, correction, innovation)
     # An outlier is as likely as one at the gate, so that nothing is gained by leaving more out.
     outside = -0.5 * gate**2 - jnp.log(expected) - 0.5 * math.log(2 * math.pi)
     likelihood = jnp.sum(jnp.where(event.there & ~used, outside, 0))

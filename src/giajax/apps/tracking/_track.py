@@ -1,5 +1,6 @@
 """A recorded run tracked: where the arm was, and what a controller would have known of it."""
 
+import bisect
 import dataclasses
 import itertools
 import time as clock
@@ -29,6 +30,7 @@ from ._rounds import (
     Events,
     Filtered,
     Followed,
+    Learning,
     Motion,
     System,
     Watch,
@@ -49,13 +51,13 @@ _DOUBLINGS = 13  # of an interval of the filter, which an arm has stood at the s
 # Events of one call, so that runs of every length have the same programs; after some of them the
 # start is chosen that explains them best.
 _CHUNK, _DECIDES = 100, 200
-_MOST = 5e7  # numbers of one kind that are kept: 0.4 GB
+_MOST = 5e7  # numbers of one of some eight kinds that are kept: 3 GB
 CHANGED = 6.0
 """Deviations of a change of a parameter from which on it is said to have changed."""
-EVERY = 2.0  # s from one time of a change that is thought of to the next
 SHOWN = 0.9
 """Of its deviation at the start; a state that is above it has not been shown, or hardly."""
 _ROUNDS, _STAYS = 3, 0.02  # of linearising once more, until a parameter moves by less deviations
+_WORSE = 1.0  # of the log-likelihood, by which a round may be, as it is linearised elsewhere
 # Of the state at the start: of an arm that has come to rest, and of one that starts as stated.
 _AT_REST = np.deg2rad([1.0, 0.3])
 _STATED = np.deg2rad([2.0, 1.0])
@@ -237,6 +239,18 @@ def with_errors_of(model: AbstractModel | FitResult, unknown: Unknown) -> Unknow
         considered={path: size for path, size in errors.items() if path not in unknown.estimated},
         correlation=correlation[np.ix_(kept, kept)],
     )
+
+
+def model_and_unknown(
+    model: AbstractModel | FitResult, run: Run, unknown: Unknown | None
+) -> tuple[ArmModel, Unknown]:
+    """The arm of a run and what is unknown of it: of a fit, as it is for that run, and its errors.
+
+    Raises:
+        InputError: it is no arm.
+    """
+    unknown = with_errors_of(model, Unknown() if unknown is None else unknown)
+    return arm_model(model.model_of(run) if isinstance(model, FitResult) else model), unknown
 
 
 def delays_of(model: ArmModel, channels: Sequence[str]) -> dict[str, float]:
@@ -594,7 +608,7 @@ def begun_at(
         names,
         noise,
         air=unknown.air,
-        biases=(*unknown.biases, *_correlated(run, names)),
+        biases=(*unknown.biases, *correlated_noise_of(run, names)),
         paths=(*unknown.considered, *unknown.estimated),
         torque=usual_torque(model) if unknown.torque is None else unknown.torque,
         ties=unknown.ties,
@@ -607,10 +621,11 @@ def begun_at(
         )
     watch = None
     if (directions := watched_parameters(tracked, unknown)) is not None:
-        loosened = jnp.zeros((len(plan.times), tracked.size))
-        plan = dataclasses.replace(plan, events=plan.events._replace(loosened=loosened))
-        interval = float(np.median(np.diff(plan.times)))
-        watch = watching(directions, max(round(EVERY / interval), 1))
+        watch, events = watching(directions), plan.events
+        seen = np.where(events.there, events.values, np.nan)
+        moves = jnp.asarray(moving(plan.times, seen, np.asarray(tracked.noise)))
+        learning = Learning(events.held.length, moves, jnp.zeros((len(moves), tracked.size)))
+        plan = dataclasses.replace(plan, events=events._replace(learning=learning))
     estimated = estimated_states(tracked, unknown)
     settings = Settings(estimated, jnp.asarray(gate, float), jnp.asarray(False), watch)
     if start is not None:
@@ -666,10 +681,7 @@ def track(
     """
     say = progress or (lambda _: None)
     result = model if isinstance(model, FitResult) else None
-    stated = arm_model(model)
-    if result is not None:
-        stated = cast("ArmModel", result.model_of(run))
-    unknown = with_errors_of(model, Unknown() if unknown is None else unknown)
+    stated, unknown = model_and_unknown(model, run, unknown)
     run.require_observations()
     if run.times is None:
         raise InputError(f"'{run.name}' has no times: give a run over time")
@@ -735,7 +747,7 @@ def track(
     )
 
 
-def _correlated(run: Run, names: Sequence[str]) -> list[Bias]:
+def correlated_noise_of(run: Run, names: Sequence[str]) -> list[Bias]:
     """Noise with a memory that a run states, as a bias that changes; each channel has its own."""
     found = []
     for name in names:
@@ -787,25 +799,38 @@ def _joined(parts: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
+LATELY = 10.0
+"""For so long before a measurement (s) the arm is looked at, whether it moves."""
 _MOVES = 2.0  # times the noise, by which an arm that moves is seen to
 
 
-def rests(values: np.ndarray, noise: np.ndarray) -> bool:
-    """Whether no channel moves by more than its noise; NaN where nothing was measured.
+def moving(times: np.ndarray, values: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Whether a channel has moved by more than its noise lately, at each time.
 
-    A parameter then shows by products of errors only, which a linearised filter takes for more
-    than they are.
+    Where none has, a parameter shows by products of errors only, which a linearised filter takes
+    for more than they are. The middle one of three values counts, so that an outlier is no motion.
+
+    Arguments:
+        times: s, in their order, shape (event,).
+        values: SI, NaN of what was not measured, shape (event, channel).
+        noise: standard deviations, SI, shape (channel,).
     """
-    there = np.isfinite(values)
-    count = np.maximum(there.sum(axis=0), 1)
-    mean = np.where(there, values, 0).sum(axis=0) / count
-    square = np.where(there, (values - mean) ** 2, 0).sum(axis=0) / count
-    return bool(np.all(square < (_MOVES * noise) ** 2))
-
-
-def learning(estimated: Array, directions: Array, values: np.ndarray, noise: np.ndarray) -> Array:
-    """Which states measurements change: parameters where the arm moves, too."""
-    return estimated & ~jnp.any(directions != 0, axis=0) if rests(values, noise) else estimated
+    found = np.zeros(len(times), bool)
+    begins = np.searchsorted(times, np.asarray(times) - LATELY)
+    for column, size in zip(values.T, noise, strict=True):
+        there = np.flatnonzero(np.isfinite(column))
+        if len(there) < 3:
+            continue
+        known = column[there] / size
+        middle = np.median(np.stack([known[:-2], known[1:-1], known[2:]]), axis=0)
+        middle -= middle[0]
+        sums = np.cumsum(np.stack([np.ones_like(middle), middle, middle**2]), axis=1)
+        sums = np.pad(sums, ((0, 0), (1, 0)))
+        last = np.searchsorted(there[2:], np.arange(len(times)), side="right")
+        count, mean, square = sums[:, last] - sums[:, np.searchsorted(there[2:], begins)]
+        count = np.maximum(count, 1)
+        found |= square / count - (mean / count) ** 2 > _MOVES**2
+    return found
 
 
 def _one_call(
@@ -818,17 +843,14 @@ def _one_call(
     about: tuple[Array, Array] | None = None,
 ) -> tuple[Followed, Filtered]:
     """The filter over some events."""
-    some, estimated, watch = _some(events, begin, size), settings.estimated, settings.watch
-    if watch is not None:
-        values = np.where(some.there, some.values, np.nan)
-        estimated = learning(estimated, watch.directions, values, np.asarray(system.noise))
-    if watch is not None and about is None:
+    if settings.watch is not None and about is None:
         # So that it is one program.
         nowhere = jnp.full((_CHUNK, followed.state.mean.shape[0]), jnp.nan)
         near: Any = (nowhere, nowhere)
     else:
         near = _some(about, begin, size)
-    return filtered(system, followed, some, estimated, settings.gate, settings.blind, near)
+    how = (settings.estimated, settings.gate, settings.blind, near, jnp.asarray(size))
+    return filtered(system, followed, _some(events, begin, size), *how)
 
 
 def followed_through(
@@ -840,12 +862,22 @@ def followed_through(
 ) -> Filtered:
     """The filter over all events, whether or not something has changed."""
     followed = start if isinstance(start, Followed) else begun_with(system, start, settings.watch)
+    return _followed_on(system, followed, events, settings, about)[1]
+
+
+def _followed_on(
+    system: System,
+    followed: Followed,
+    events: Events,
+    settings: Settings,
+    about: tuple[Array, Array] | None = None,
+) -> tuple[Followed, Filtered]:
     parts = []
     for begin, size in _calls(len(events.values)):
         followed, found = _one_call(system, followed, events, settings, begin, size, about)
         parts.append(_first(found, size))
     rows: Filtered = _joined(parts)
-    return rows
+    return followed, rows
 
 
 class Course(NamedTuple):
@@ -866,6 +898,8 @@ def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: 
     """
     times, events, count = plan.times, plan.events, len(plan.times)
     parts: list[Filtered] = []
+    # The same as it is known by now, from where the filter goes back.
+    latest: list[Filtered] = []
     changes: list[Change] = []
     seconds = []
     followed, begin = begun_with(tracked, start, settings.watch), 0
@@ -881,12 +915,14 @@ def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: 
         far = np.flatnonzero(squares > CHANGED**2)
         if watch is None or suspected is None or not far.size:
             parts.append(_first(found, size))
+            latest.append(parts[-1])
             followed, begin = last, begin + size
             continue
         at = int(far[0])
         parts.append(_first(found, at + 1))
+        latest.append(parts[-1])
         end = begin + at
-        since = max(end - int(suspected.age[at]), 0)
+        since = since_when(times[: end + 1], float(times[end]), float(suspected.age[at]))
         index = int(jnp.argmax(watch.directions[int(suspected.which[at])]))
         changes.append(
             Change(
@@ -897,16 +933,23 @@ def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: 
                 float(suspected.deviation[at]),
             )
         )
-        assert events.loosened is not None
-        loose = jnp.linalg.norm(start.root[index])
-        events = events._replace(loosened=events.loosened.at[since + 1, index].set(loose))
-        parts = [_joined(parts)]
-        known = _row(parts[0], since)
+        assert events.learning is not None
+        loosened = events.learning.loosened
+        loosened = loosened.at[since + 1, index].set(jnp.linalg.norm(start.root[index]))
+        events = events._replace(learning=events.learning._replace(loosened=loosened))
+        before = _first(_joined(latest), since + 1)
+        known = _row(before, -1)
         again = Followed(known.state, known.left_out, watch)
         between = jax.tree.map(lambda leaf, a=since + 1, b=end + 1: leaf[a:b], events)
-        known = _row(followed_through(tracked, again, between, settings), -1)
-        followed, begin = Followed(known.state, known.left_out, watch), end + 1
+        followed, after = _followed_on(tracked, again, between, settings)
+        latest, begin = [before, after], end + 1
     return Course(_joined(parts), min(seconds), tuple(changes), events)
+
+
+def since_when(times: Sequence[float] | np.ndarray, now: float, age: float) -> int:
+    """The event that was so long (s) before, which is not the last one."""
+    place = bisect.bisect_right(times, now - age + 1e-9) - 1
+    return min(max(place, 0), len(times) - 2)
 
 
 def smoothed_through(rows: Filtered) -> Gaussian:
@@ -924,17 +967,23 @@ def smoothed_through(rows: Filtered) -> Gaussian:
 
 
 def linearised_again(
-    system: System, start: Gaussian, events: Events, settings: Settings, rows: Filtered
+    system: System, start: Gaussian | Followed, events: Events, settings: Settings, rows: Filtered
 ) -> tuple[Gaussian, Filtered]:
-    """Smoothed and filtered states, linearised about the smoothed ones until parameters stay."""
+    """Smoothed and filtered states, linearised about the smoothed ones until parameters stay.
+
+    A round in which the measurements become less likely does not count, and is the last one.
+    """
     smooth = smoothed_through(rows)
     if settings.watch is None:
         return smooth, rows
     directions = settings.watch.directions
     for _ in range(_ROUNDS):
         mean = smooth.mean
-        about = (jnp.concatenate([mean[:1], mean[:-1]]), mean)
+        # Before the first interval there is no smoothed state.
+        about = (jnp.concatenate([jnp.full_like(mean[:1], jnp.nan), mean[:-1]]), mean)
         again = followed_through(system, start, events, settings, about)
+        if not _likelihood(again) > _likelihood(rows) - _WORSE:
+            break
         better = smoothed_through(again)
         if not np.all(np.isfinite(better.mean)):
             break
@@ -943,6 +992,10 @@ def linearised_again(
         if jnp.all(far < _STAYS * jnp.linalg.norm(directions @ better.root, axis=-1)):
             break
     return smooth, rows
+
+
+def _likelihood(rows: Filtered) -> float:
+    return float(jnp.sum(rows.innovation.log_likelihood))
 
 
 def _of_each(function: Callable[..., Any], tracked: TrackedArm, rows: Any) -> Any:

@@ -1,9 +1,8 @@
 """A filter whose measurements come late, one after the other, and out of their order."""
 
 import bisect
-from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -21,16 +20,16 @@ from ._rounds import (
     Events,
     Filtered,
     Followed,
+    Learning,
     Motion,
     Suspected,
     System,
-    Watch,
     followed_by,
     watching,
 )
 from ._track import (
     CHANGED,
-    EVERY,
+    LATELY,
     SHORT,
     Change,
     Settings,
@@ -41,8 +40,10 @@ from ._track import (
     begun_with,
     delays_of,
     estimated_states,
-    learning,
+    followed_through,
     linearised_again,
+    moving,
+    since_when,
     starts,
     usual_torque,
     watched_parameters,
@@ -58,11 +59,9 @@ class _Clone(NamedTuple):
     time: float
     event: Events
     followed: Followed
-    found: Filtered | None
 
 
 _WINDOW = 60.0  # s, in which a parameter that is estimated may have changed
-_RECENT = 10.0  # s, in which an arm rests or moves
 _FIRST_PAUSE = 10.0  # s, before what is kept is linearised once more; then twice as long
 
 
@@ -75,7 +74,8 @@ class DelayedFilter(Generic[Kept]):
 
     Where states are watched, a change of one is looked for, too; from when it happened the filter
     goes on with that state as uncertain as at the start. And what is kept is linearised once more,
-    about the smoothed states, after 10 s, 30 s, 70 s and so on.
+    about the smoothed states, after 10 s, 30 s, 70 s and so on. Whether the arm moves at a
+    measurement is decided once, by what had come until then.
 
     Arguments:
         system: what is tracked.
@@ -110,15 +110,16 @@ class DelayedFilter(Generic[Kept]):
         self._gate = jnp.asarray(gate, float)
         states = start.mean.shape[0]
         self._estimated = jnp.ones(states, bool) if estimated is None else estimated
-        self._learnt = self._estimated
         self._nothing = np.full(system.noise.shape[0], np.nan)
         self._watched, self._begun = watched, start
-        self._recent: deque[tuple[float, np.ndarray]] = deque()
-        self._still = None if watched is None else jnp.zeros(states)
+        # All rows that are kept, in the order of their times.
+        self._times: list[float] = []
+        self._rows: list[np.ndarray] = []
         self._pause = _FIRST_PAUSE
         self._again = time + self._pause
-        begun = begun_with(system, start, self._watch(longest))
-        self._clones = [_Clone(time, self._event(time, time + longest, self._nothing), begun, None)]
+        self._last: Filtered | None = None
+        begun = begun_with(system, start, None if watched is None else watching(watched))
+        self._clones = [_Clone(time, self._event(time, time + longest, self._nothing), begun)]
 
     @property
     def time(self) -> float:
@@ -133,13 +134,14 @@ class DelayedFilter(Generic[Kept]):
     @property
     def last(self) -> Filtered | None:
         """What the last measurement was beside."""
-        return self._clones[-1].found
+        return self._last
 
-    def measure(self, time: float, values: Any) -> bool:
+    def measure(self, time: float, values: Any) -> Filtered | None:
         """Take measurements of one time (s), SI, NaN of what was not measured.
 
         Returns:
-            Whether they count: what is older than the history is lost.
+            What they were beside, by what was measured before; None of what is older than the
+            history, which is lost.
 
         Raises:
             InputError: a number of values that is not that of the channels, or a time that is no
@@ -153,22 +155,23 @@ class DelayedFilter(Generic[Kept]):
                 f"a row of {values.size} measurements is given for {self._nothing.size} channels: "
                 "give one for each, NaN where nothing was measured"
             )
-        times = [clone.time for clone in self._clones]
-        place = bisect.bisect_right(times, time)
+        place = bisect.bisect_right(self._clones, time, key=_time)
         # Two measurements of one time are one event after the other, without an interval.
         if place == 0:
             self.lost += 1
-            return False
+            return None
+        row = bisect.bisect_right(self._times, time)
+        self._times.insert(row, time)
+        self._rows.insert(row, values)
         later = self._clones[place:]
         del self._clones[place:]
-        if self._watched is not None:
-            self._learn(time, values, self._watched)
         self._go_on(time, values)
+        found = self._last
         self._repeat(later)
         if self._watched is not None:
             self._look(self._watched)
         self._forget()
-        return True
+        return found
 
     def ahead(self, time: float) -> Gaussian:
         """What is expected of a later time (s), by all that was measured; nothing is kept.
@@ -187,71 +190,62 @@ class DelayedFilter(Generic[Kept]):
             begin = end
         return followed.state
 
-    def _learn(self, time: float, values: np.ndarray, watched: Array) -> None:
-        """Whether what is watched is learnt from now on."""
-        self._recent.append((time, values))
-        while self._recent[0][0] < self._recent[-1][0] - _RECENT:
-            self._recent.popleft()
-        table = np.stack([row for _, row in self._recent])
-        noise = np.asarray(self.system.noise)
-        self._learnt = learning(self._estimated, watched, table, noise)
+    def _moves(self, time: float) -> bool:
+        """Whether what is tracked has moved lately, of a time at which something was measured."""
+        end = bisect.bisect_right(self._times, time)
+        begin = max(bisect.bisect_left(self._times, time - LATELY) - 2, 0)
+        if end - begin < 3:
+            return False
+        some = (np.array(self._times[begin:end]), np.stack(self._rows[begin:end]))
+        return bool(moving(*some, np.asarray(self.system.noise))[-1])
 
-    def _go_on(self, time: float, values: np.ndarray, loosened: Array | None = None) -> None:
+    def _go_on(self, time: float, values: np.ndarray) -> None:
         begin = self._clones[-1].time
         ends = self._ends(begin, time)
         for end in ends:
             event = self._event(begin, end, values if end == ends[-1] else self._nothing)
-            if loosened is not None and end == ends[0]:
-                event = event._replace(loosened=loosened)
-            followed, found = self._after(self._clones[-1].followed, event)
-            self._clones.append(_Clone(end, event, followed, found))
+            self._follow(end, event)
             begin = end
 
     def _repeat(self, clones: list[_Clone]) -> None:
-        """What was measured then, once more."""
-        for clone in clones:
-            known = np.where(np.asarray(clone.event.there), clone.event.values, np.nan)
-            self._go_on(clone.time, known, clone.event.loosened)
+        """What was measured then, once more; the first of these has another interval."""
+        for clone in clones[:1]:
+            there = np.asarray(clone.event.there)
+            self._go_on(clone.time, np.where(there, clone.event.values, np.nan))
+        for clone in clones[1:]:
+            self._follow(clone.time, clone.event)
 
-    def _watch(self, interval: float) -> Watch | None:
-        if self._watched is None:
-            return None
-        return watching(self._watched, max(round(EVERY / interval), 1))
+    def _follow(self, time: float, event: Events) -> None:
+        followed, self._last = self._after(self._clones[-1].followed, event)
+        self._clones.append(_Clone(time, event, followed))
 
     def _look(self, watched: Array) -> None:
         """Whether a state has changed, and whether it is time to linearise once more."""
-        found = self._clones[-1].found
-        suspected = None if found is None else found.suspected
+        suspected = None if self._last is None else self._last.suspected
         if suspected is not None and float(suspected.square) > CHANGED**2:
-            since = max(len(self._clones) - 1 - int(suspected.age), 0)
-            clone, later = self._clones[since], self._clones[since + 1 :]
-            self.changes.append((clone.time, self.time, suspected))
-            direction = watched[int(suspected.which)]
-            loose = direction * jnp.linalg.norm(direction @ self._begun.root)
-            interval = float(np.median(np.diff([each.time for each in self._clones])))
-            fresh = clone.followed._replace(watch=self._watch(interval))
-            self._clones[since:] = [clone._replace(followed=fresh)]
-            first = later[0]
-            self._repeat([first._replace(event=first.event._replace(loosened=loose)), *later[1:]])
+            times = [clone.time for clone in self._clones]
+            since = since_when(times, self.time, float(suspected.age))
+            self.changes.append((times[since], self.time, suspected))
+            later = self._clones[since + 1 :]
+            del self._clones[since + 1 :]
+            self._repeat(later)
             self._pause = _FIRST_PAUSE
             self._again = self.time + self._pause
         elif self.time >= self._again:
             self._pause *= 2
             self._again = self.time + self._pause
-            self._linearise(watched)
+            self._linearise()
 
-    def _linearise(self, watched: Array) -> None:
+    def _linearise(self) -> None:
         """What is kept once more, about its smoothed states."""
         kept = self._clones[1:]
         if len(kept) < 2:
             return
-        start = self._clones[0].followed.state
+        begun = self._clones[0].followed
         events: Events = _stacked([clone.event for clone in kept])
-        rows: Filtered = _stacked([clone.found for clone in kept])
-        settings = Settings(
-            self._estimated, self._gate, jnp.asarray(False), watching(watched, len(kept))
-        )
-        _, rows = linearised_again(self.system, start, events, settings, rows)
+        settings = Settings(self._estimated, self._gate, jnp.asarray(False), begun.watch)
+        rows = followed_through(self.system, begun, events, settings)
+        _, rows = linearised_again(self.system, begun, events, settings, rows)
         mean, root = np.asarray(rows.state.mean), np.asarray(rows.state.root)
         left_out = np.asarray(rows.left_out)
         for index, clone in enumerate(kept):
@@ -265,20 +259,38 @@ class DelayedFilter(Generic[Kept]):
 
     def _event(self, begin: float, end: float, values: np.ndarray) -> Events:
         there = np.isfinite(values)
-        return Events(
-            self._interval(begin, end),
-            jnp.asarray(np.where(there, values, 0.0)),
-            jnp.asarray(there),
-            self._still,
-        )
+        learning = None
+        if self._watched is not None:
+            moves = bool(there.any()) and self._moves(end)
+            given: Any = (np.asarray(end - begin), np.asarray(moves), self._loosened(begin, end))
+            learning = Learning(*given)
+        # Of NumPy: a hundred times in a second small arrays are slow in JAX.
+        seen: Any = np.where(there, values, 0.0)
+        return Events(self._interval(begin, end), seen, cast("Any", there), learning)
+
+    def _loosened(self, begin: float, end: float) -> np.ndarray:
+        """By what has changed at the beginning of an interval, or in it."""
+        assert self._watched is not None
+        found = np.zeros(self._watched.shape[1])
+        for time, _, suspected in self.changes:
+            if begin <= time < end:
+                direction = np.asarray(self._watched[int(suspected.which)])
+                found += direction * np.linalg.norm(direction @ np.asarray(self._begun.root))
+        return found
 
     def _after(self, before: Followed, event: Events) -> tuple[Followed, Filtered]:
-        return followed_by(self.system, before, event, self._learnt, self._gate)
+        return followed_by(self.system, before, event, self._estimated, self._gate)
 
     def _forget(self) -> None:
         old = self.time - self._history
-        times = [clone.time for clone in self._clones]
-        del self._clones[: max(bisect.bisect_right(times, old) - 1, 0)]
+        del self._clones[: max(bisect.bisect_right(self._clones, old, key=_time) - 1, 0)]
+        # Of these the oldest events ask whether anything moved before.
+        gone = bisect.bisect_left(self._times, self._clones[0].time - LATELY) - 2
+        del self._times[: max(gone, 0)], self._rows[: max(gone, 0)]
+
+
+def _time(clone: _Clone) -> float:
+    return clone.time
 
 
 def _stacked(rows: list[Any]) -> Any:
@@ -305,11 +317,15 @@ class Tracker:
         command: commanded angles then, rad, shape (joint,); 0 by default.
         angles, rates: of the joints then, rad and rad/s; without angles the arm has come to rest
             in its wind.
+        wind: that is known and stays, m/s, shape (3,), beside that of the arm; still air by
+            default.
+        held: whether a command stays until the next one; it moves there on a line by default.
         history: how late a row may be, s; 60 at least where parameters are estimated.
         gate: deviations; a measurement that is farther off does not count.
 
     Raises:
-        InputError: a model that is not that of an arm, or a channel that it does not have.
+        InputError: a model that is not that of an arm, a channel that it does not have, or a wind
+            that is both known and tracked.
 
     Example:
         >>> import giajax
@@ -331,6 +347,8 @@ class Tracker:
         command: Any | None = None,
         angles: Any | None = None,
         rates: Any | None = None,
+        wind: Any | None = None,
+        held: bool = False,
         history: float = 5.0,
         gate: float = GATE,
     ) -> None:
@@ -364,22 +382,33 @@ class Tracker:
             rest if angles is None else _row("angles", angles, count),
             rest if rates is None else _row("rates", rates, count),
         )
-        self._width = 0 if given.air is None else 3
+        own = stated.arm.air.wind is not None or stated.arm.air.wind_field is not None
+        if given.air is not None and (wind is not None or own):
+            raise InputError(
+                "the wind of the arm is known: leave that out, or do not track one (Unknown.air)"
+            )
+        known = np.zeros(0 if given.air is None else 3)
+        self._wind = known if wind is None else _row("components of the wind", wind, 3)
+        self._stays = held
+        self._found: list[Filtered] = []
         estimated = estimated_states(self.arm, given)
-        still = jnp.zeros(self.arm.size) if given.estimated else None
         nothing = jnp.zeros(len(noise))
         watched = watched_parameters(self.arm, given)
-        watch = None if watched is None else watching(watched, 1)
+        watch, learning = None, None
+        if watched is not None:
+            watch = watching(watched)
+            never = (jnp.asarray(SHORT), jnp.asarray(False), jnp.zeros(self.arm.size))
+            learning = Learning(*never)
 
         def motion(start: Gaussian, held: Held) -> Motion:
-            event = Events(held, nothing, nothing > 0, still)
+            event = Events(held, nothing, nothing > 0, learning)
             begun = begun_with(self.arm, start, watch)
             _, found = followed_by(self.arm, begun, event, estimated, jnp.asarray(gate, float))
             return found.motion
 
-        known = (self.arm, self._held(time - SHORT, time), given, initial, motion)
-        found = [] if angles is not None else starts(*known, rest=(True,))
-        begun = (found or starts(*known, rest=(False,)))[0]
+        start = (self.arm, self._held(time - SHORT, time), given, initial, motion)
+        found = [] if angles is not None else starts(*start, rest=(True,))
+        begun = (found or starts(*start, rest=(False,)))[0]
         self.filter: DelayedFilter[TrackedArm] = DelayedFilter(
             self.arm,
             time,
@@ -430,9 +459,11 @@ class Tracker:
             self._commands.append(command)
         elif stamp == self._knots[-1]:
             self._commands[-1] = command
+        self._found = []
         for late in sorted(groups, reverse=True):
             if np.any(np.isfinite(groups[late])):
-                self.filter.measure(stamp - late, groups[late])
+                measured = self.filter.measure(stamp - late, groups[late])
+                self._found += [] if measured is None else [measured]
         old = self.filter.time - 2 * self._history
         while len(self._knots) > 2 and self._knots[1] < old:
             del self._knots[0], self._commands[0]
@@ -463,24 +494,39 @@ class Tracker:
 
     @property
     def innovation(self) -> np.ndarray:
-        """What was measured last beside what was expected, as independent numbers of deviation 1.
+        """What the last row measured beside what was expected, shape (channel,).
 
-        It is 0 of what was not measured.
+        As independent numbers of deviation 1; 0 of what was not measured, was lost, or is an
+        outlier.
         """
-        last = self.filter.last
         none = np.zeros(len(self.arm.channels))
-        return none if last is None else np.asarray(last.innovation.whitened)
+        return none + sum(np.asarray(each.innovation.whitened) for each in self._found)
+
+    @property
+    def used(self) -> np.ndarray:
+        """Which channels of the last row counted, shape (channel,)."""
+        none = np.zeros(len(self.arm.channels), bool)
+        return none | np.any([none, *(np.asarray(each.used) for each in self._found)], axis=0)
 
     def _states(self, state: Gaussian) -> States:
         return as_states(self.arm, Gaussian(state.mean[None], state.root[None]))
 
     def _held(self, begin: float, end: float) -> Held:
-        knots, rows = np.array(self._knots), np.stack(self._commands)
-        edges = np.array([begin, end])
-        command = np.stack([np.interp(edges, knots, column) for column in rows.T], axis=1)
+        command = [self._command(begin), self._command(begin if self._stays else end)]
+        wind = np.tile(self._wind, (2, 1))
         # Of two measurements of one time the second has no interval, by which slopes are divided.
-        given = (begin, max(end - begin, SHORT), command, np.zeros((2, self._width)))
-        return Held(*(jnp.asarray(each, float) for each in given))
+        known: Any = (begin, max(end - begin, SHORT), np.stack(command), wind)
+        given: Any = [np.asarray(each, float) for each in known]
+        return Held(*given)
+
+    def _command(self, time: float) -> np.ndarray:
+        """That of a time, between two knots on a line or held; beyond them that of the next one."""
+        place = bisect.bisect_right(self._knots, time)
+        if place in (0, len(self._knots)):
+            return self._commands[min(place, len(self._knots) - 1)]
+        before, after = self._knots[place - 1 : place + 1]
+        share = 0.0 if self._stays else (time - before) / (after - before)
+        return (1 - share) * self._commands[place - 1] + share * self._commands[place]
 
 
 def _row(name: str, values: Any, count: int) -> np.ndarray:

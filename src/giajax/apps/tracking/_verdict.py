@@ -21,11 +21,10 @@ from ._track import (
     SHOWN,
     Track,
     Unknown,
-    arm_model,
     begun_at,
     followed_through,
+    model_and_unknown,
     noise_of,
-    with_errors_of,
 )
 
 # What is off by less is of no consequence, whatever the number of measurements.
@@ -155,9 +154,7 @@ def judge(
     """
     say = progress or (lambda _: None)
     sound, nis, error, largest, left_out = consistent(found)
-    stated: Any = arm_model(model)
-    if isinstance(model, FitResult):
-        stated = model.model_of(found.run)
+    stated, _ = model_and_unknown(model, found.run, found.unknown)
     short = _first_rows(found.run)
     causes: list[Cause] = []
     tried: list[str] = []
@@ -354,10 +351,7 @@ def unseen(
         InputError: as of `track`.
     """
     result = model if isinstance(model, FitResult) else None
-    stated: Any = arm_model(model)
-    if result is not None:
-        stated = result.model_of(run)
-    given = with_errors_of(model, Unknown() if unknown is None else unknown)
+    stated, given = model_and_unknown(model, run, unknown)
     names = list(run.observations if channels is None else channels)
     noise = noise_of(run, names, result)
     tracked, plan, start, settings = begun_at(stated, _first_rows(run), noise, given, GATE)
