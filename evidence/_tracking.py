@@ -87,25 +87,10 @@ def _arm(number: int, seed: int, links: int) -> dict[str, Any]:
 
 def recorded(arm: Any, rng: np.random.Generator, links: int) -> tuple[Any, dict[str, np.ndarray]]:
     """A run of the arm, and its true angles, rates, tip and mean wind at the exposures."""
-    import jax.numpy as jnp
-
-    from giajax import Run, gusts, simulate
-    from giajax.mechanics.arm import link_centres
+    from giajax import Run, simulate
     from giajax.simulation import logged, ramps
 
-    places = np.asarray(link_centres(arm, jnp.zeros(links)))
-    wind = gusts(
-        MEAN,
-        intensity=INTENSITY,
-        length_scale=LENGTH_SCALE,
-        duration=SETTLED + LASTS + 1,
-        start=-SETTLED,
-        interval=0.2,
-        seed=int(rng.integers(2**31)),
-        places=places,
-    )
-    names = [f"link{k + 1:02d}_wind_{axis}" for k in range(links) for axis in "xyz"]
-    table = np.stack([wind.values[name] for name in names], axis=1)
+    blown, table = wind_at_links(arm, rng, LASTS)
     angle = np.deg2rad(rng.uniform(10, 30)) * rng.choice([-1, 1])
     begins = np.array([-SETTLED, 20.0, 24.0, 70.0, 74.0])
     rows = np.zeros((5, links))
@@ -115,7 +100,7 @@ def recorded(arm: Any, rng: np.random.Generator, links: int) -> tuple[Any, dict[
     exposures = stamps - DELAY
     # The encoder is at once: both times.
     times = np.unique(np.concatenate([[-SETTLED], exposures, stamps]).round(9))
-    moved = simulate(arm, command, times, wind=logged(wind.times, table))
+    moved = simulate(arm, command, times, wind=logged(blown, table))
     at_exposures = np.searchsorted(times, exposures.round(9))
     at_stamps = np.searchsorted(times, stamps.round(9))
     tip, angles = np.asarray(moved.tip), np.asarray(moved.angles)
@@ -124,7 +109,7 @@ def recorded(arm: Any, rng: np.random.Generator, links: int) -> tuple[Any, dict[
     values = {name: v + NOISE[name] * rng.normal(size=v.shape) for name, v in values.items()}
     values["joint01_command"] = np.interp(stamps, begins, rows[:, 0])
     run_of_it = Run.from_arrays(stamps, values, name="drawn", noise=NOISE)
-    flow = np.stack([np.interp(times, wind.times, column) for column in table.T], axis=1)
+    flow = np.stack([np.interp(times, blown, column) for column in table.T], axis=1)
     truth = {
         "times": times,
         "angles": angles,
@@ -133,6 +118,27 @@ def recorded(arm: Any, rng: np.random.Generator, links: int) -> tuple[Any, dict[
         "wind": flow.reshape(len(times), links, 3).mean(axis=1),
     }
     return run_of_it, truth
+
+
+def wind_at_links(arm: Any, rng: np.random.Generator, lasts: float) -> tuple[Any, np.ndarray]:
+    """Times from when an arm begins to settle, s, and the wind of each link then, m/s."""
+    import jax.numpy as jnp
+
+    from giajax import gusts
+    from giajax.mechanics.arm import link_centres
+
+    wind = gusts(
+        MEAN,
+        intensity=INTENSITY,
+        length_scale=LENGTH_SCALE,
+        duration=SETTLED + lasts + 1,
+        start=-SETTLED,
+        interval=0.2,
+        seed=int(rng.integers(2**31)),
+        places=np.asarray(link_centres(arm, jnp.zeros(arm.count))),
+    )
+    names = [f"link{k + 1:02d}_wind_{axis}" for k in range(arm.count) for axis in "xyz"]
+    return wind.times, np.stack([wind.values[name] for name in names], axis=1)
 
 
 def _errors(found: Any, truth: dict[str, np.ndarray]) -> dict[str, float]:

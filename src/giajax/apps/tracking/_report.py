@@ -254,6 +254,8 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
         for cause in verdict.causes[1:]
     ]
     notes += [change_sentence(change) for change in found.changes]
+    if found.changes and not verdict.adequate:
+        notes.append("what has changed is doubtful as long as the track is not adequate")
     changed = {change.path: change.time for change in found.changes}
     for path, before in found.unknown.estimated.items():
         if found.smoothed.parameter_deviations[path][-1] > SHOWN * before:

@@ -68,6 +68,7 @@ class Events(NamedTuple):
 
 
 _SLOTS = 20  # times at which a change may have been
+_LARGEST = 5.0  # of a change, over its deviation
 EVERY = 2.0
 """From one of these times to the next, s."""
 
@@ -76,17 +77,22 @@ class Watch(NamedTuple):
     """What changes of some states, at each of some past times, would have done since.
 
     Attributes:
-        directions: of the states, for each kind of change by 1, shape (change, state).
+        directions: of the states, for each kind of change, as large as it may be expected to be
+            (a standard deviation), shape (change, state).
         effect: on the state minus its estimate, shape (change, slot, state).
         score: of the log-likelihood by the size of each change, shape (change, slot).
         information: likewise, shape (change, slot).
-        ages: since then, s.
+        misfit: square of all innovations since then, as numbers of deviation 1, shape (slot,).
+        number: of them, shape (slot,).
+        ages: since then, s, shape (slot,).
     """
 
     directions: Float[Array, "change state"]
     effect: Float[Array, "change slot state"]
     score: Float[Array, "change slot"]
     information: Float[Array, "change slot"]
+    misfit: Float[Array, " slot"]
+    number: Float[Array, " slot"]
     ages: Float[Array, " slot"]
 
 
@@ -94,7 +100,9 @@ class Suspected(NamedTuple):
     """The change that explains most of what was measured.
 
     Attributes:
-        square: its size over the deviation of that, squared; of the right model chi-square of 1.
+        square: its size over the deviation of that, squared; of the right model chi-square of 1
+            at most. Where innovations are larger than expected also without it, it is as many times
+            less.
         which: of the changes.
         age: since then, s.
         size: by which it changed.
@@ -116,6 +124,8 @@ def watching(directions: Array) -> Watch:
         jnp.zeros((*shape, directions.shape[1])),
         jnp.zeros(shape),
         jnp.zeros(shape),
+        jnp.zeros(_SLOTS),
+        jnp.zeros(_SLOTS),
         jnp.full(_SLOTS, jnp.inf),
     )
 
@@ -138,16 +148,23 @@ def _watched(
     score = watch.score + white @ innovation.whitened
     information = watch.information + jnp.sum(white**2, axis=-1)
     effect = effect - off @ correction.gain.T
-    square = jnp.where(information > 0, score**2 / jnp.maximum(information, 1e-300), 0)
+    misfit = watch.misfit + jnp.sum(innovation.whitened**2)
+    number = watch.number + jnp.sum(used, dtype=misfit.dtype)
+    # A change is as likely as it is said to be, and what would have to be larger is none.
+    size = score / (information + 1)
+    square = jnp.where(jnp.abs(size) < _LARGEST, score * size, 0)
+    # What is wrong with the model otherwise looks like changes, too.
+    left = (misfit[None] - square) / jnp.maximum(number - 1, 1)[None]
+    square = square / jnp.maximum(left, 1)
     ages = watch.ages + length
     which, slot = jnp.unravel_index(jnp.argmax(square), square.shape)
-    known = information[which, slot]
+    unit = jnp.linalg.norm(watch.directions[which])
     suspected = Suspected(
         square[which, slot],
         which,
         ages[slot],
-        score[which, slot] / jnp.maximum(known, 1e-300),
-        1 / jnp.sqrt(jnp.maximum(known, 1e-300)),
+        unit * size[which, slot],
+        unit / jnp.sqrt(information[which, slot] + 1),
     )
     # The oldest time makes room for this one.
     fresh = (jnp.arange(_SLOTS) == jnp.argmax(ages)) & (jnp.min(ages) >= EVERY)
@@ -155,6 +172,8 @@ def _watched(
         effect=jnp.where(fresh[None, :, None], watch.directions[:, None], effect),
         score=jnp.where(fresh[None], 0, score),
         information=jnp.where(fresh[None], 0, information),
+        misfit=jnp.where(fresh, 0, misfit),
+        number=jnp.where(fresh, 0, number),
         ages=jnp.where(fresh, 0, ages),
     )
     return watch, suspected

@@ -644,10 +644,11 @@ def begun_at(
 
 
 def watched_parameters(tracked: TrackedArm, unknown: Unknown) -> Array | None:
-    """Directions of the states that are estimated parameters; None where there are none."""
+    """The estimated parameters, each as uncertain as at the start; None where there are none."""
     first = tracked.slices()["parameters"].start + len(unknown.considered)
-    count = len(unknown.estimated)
-    return jnp.eye(tracked.size)[first : first + count] if count else None
+    spread = np.array([*unknown.estimated.values()])
+    found = spread[:, None] * np.eye(tracked.size)[first : first + len(spread)]
+    return jnp.asarray(found) if len(spread) else None
 
 
 def track(
@@ -923,7 +924,8 @@ def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: 
         latest.append(parts[-1])
         end = begin + at
         since = since_when(times[: end + 1], float(times[end]), float(suspected.age[at]))
-        index = int(jnp.argmax(watch.directions[int(suspected.which[at])]))
+        direction = watch.directions[int(suspected.which[at])]
+        index = int(jnp.argmax(jnp.abs(direction)))
         changes.append(
             Change(
                 tracked.paths[index - tracked.slices()["parameters"].start],
@@ -934,8 +936,7 @@ def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: 
             )
         )
         assert events.learning is not None
-        loosened = events.learning.loosened
-        loosened = loosened.at[since + 1, index].set(jnp.linalg.norm(start.root[index]))
+        loosened = events.learning.loosened.at[since + 1].add(direction)
         events = events._replace(learning=events.learning._replace(loosened=loosened))
         before = _first(_joined(latest), since + 1)
         known = _row(before, -1)

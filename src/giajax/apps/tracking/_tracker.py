@@ -86,7 +86,8 @@ class DelayedFilter(Generic[Kept]):
         history: how long states are kept, s; what comes later than that is lost.
         gate: deviations; a measurement that is farther off does not count.
         estimated: which states measurements change; all by default.
-        watched: directions of the states that may change, shape (change, state); None: none does.
+        watched: directions of the states that may change, each as long as the deviation of such a
+            change, shape (change, state); None: none does.
     """
 
     def __init__(
@@ -111,7 +112,7 @@ class DelayedFilter(Generic[Kept]):
         states = start.mean.shape[0]
         self._estimated = jnp.ones(states, bool) if estimated is None else estimated
         self._nothing = np.full(system.noise.shape[0], np.nan)
-        self._watched, self._begun = watched, start
+        self._watched = watched
         # All rows that are kept, in the order of their times.
         self._times: list[float] = []
         self._rows: list[np.ndarray] = []
@@ -274,8 +275,7 @@ class DelayedFilter(Generic[Kept]):
         found = np.zeros(self._watched.shape[1])
         for time, _, suspected in self.changes:
             if begin <= time < end:
-                direction = np.asarray(self._watched[int(suspected.which)])
-                found += direction * np.linalg.norm(direction @ np.asarray(self._begun.root))
+                found += np.asarray(self._watched[int(suspected.which)])
         return found
 
     def _after(self, before: Followed, event: Events) -> tuple[Followed, Filtered]:
