@@ -72,7 +72,10 @@ def test_it_states_the_truth_and_starts_away_from_it(path):
 
 
 # What the others ask for each by itself is together in these, or once more.
-LONG = {"independent_friction", "two_runs", "independent_pitch_yaw", "independent_wind"}
+LONG = {
+    "independent_friction", "two_runs", "independent_pitch_yaw", "independent_wind",
+    "joint_memory", "pitch_yaw",
+}  # fmt: skip
 REACHING = [
     pytest.param(path, marks=pytest.mark.long if path.stem in LONG else pytest.mark.slow)
     for path in FITS
