@@ -84,8 +84,9 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
 
     run(plugin)
     file = f"{folder}/prediction.csv"
-    report, fit = ("report", folder), ("fit", "--data", file, "--no-suspects")
     # The script has asked for the suspects of the law; workers import a plug-in, too.
+    report = ("report", folder)
+    fit = ("fit", "--data", file, "--no-suspects", "--no-figures")
     commands = {
         "cauchy_loss": [report, (*fit, "--loss", "CauchyLoss")],
         "coffee_filter": [*COFFEE_FILTER, ("init", "--data", "filter.csv", "--force")],

@@ -71,8 +71,11 @@ def test_it_states_the_truth_and_starts_away_from_it(path):
             assert start == 0 or abs(np.log(start / truth)) > off
 
 
-# What the others ask for each by itself is together in these, or once more.
-LONG = {"independent_friction", "two_runs", "independent_pitch_yaw", "independent_wind"}
+# What these ask for the others do, too, together or by themselves, or a test of a shorter arm.
+LONG = {
+    "independent_friction", "two_runs", "independent_pitch_yaw", "independent_wind",
+    "joint_memory", "pitch_yaw", "camera_frame",
+}  # fmt: skip
 REACHING = [
     pytest.param(path, marks=pytest.mark.long if path.stem in LONG else pytest.mark.slow)
     for path in FITS

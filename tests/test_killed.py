@@ -36,7 +36,7 @@ STUDIES = {
     "posterior": ("posterior fit --chains 3 --draws 8 --warmup 4 --out out --force", "out"),
     "design": (
         "design arm.toml --parameter air.drag_coefficient --out out --force --duration 0.5 --rate 8"
-        " --channels tip",
+        " --channels tip --knots 3 --starts 2 --follow 1 --max-iterations 2 --draws 1",
         "nothing",
     ),
     "drive": ("drive arm.toml --replay pad.csv --to run-2.csv --force", "run-2-unfinished.csv"),
@@ -76,7 +76,7 @@ def make(folder, name):
     of = {"sweep": "studies/sweep", "fit": "studies/journal"}.get(name, "studies/profile")
     shutil.copytree(EARLIER / of, folder, ignore=shutil.ignore_patterns("half", "whole"))
     (folder / "arm.toml").write_text('[arm]\npreset = "takeichi_20m"\nlinks = 2\n')
-    (folder / "pad.csv").write_text("time_s,axis0,axis1\n0,0,-1\n2,0.5,0.5\n6,0,0\n")
+    (folder / "pad.csv").write_text("time_s,axis0,axis1\n0,0,-1\n1,0.5,0.5\n3,0,0\n")
 
 
 def do(words):

@@ -75,6 +75,8 @@ def test_the_files_and_commands_of_a_page_run(page, folder, truth, tmp_path, mon
     """Blocks that begin with a name are files; the C_D of a simulation is found again."""
     said = {}
     monkeypatch.chdir(tmp_path)
+    # Each choice of the model would be a program for the suspects, of which nothing is asserted.
+    monkeypatch.setattr(giajax.ArmModel, "variants", lambda self: {})
     text = PAGES[page].read_text(encoding="utf-8")
     (tmp_path / "robot.xml").write_text(ROBOT)
     for language, block in re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):

@@ -146,10 +146,16 @@ def test_keys_and_seeds_are_those_of_then(name):
         assert [task.key, task.own_seed] == KEYS[f"{what} of {name}"]
 
 
-@pytest.mark.slow
+# What takes longest is for before a release; each part of those two is in another result, too.
+LONG = ("several", "contact")
+
+
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=pytest.mark.long) if name == "several" else name for name in RESULTS],
+    [
+        pytest.param(name, marks=pytest.mark.long if name in LONG else pytest.mark.slow)
+        for name in RESULTS
+    ],
 )
 def test_results_are_repeated(name, tmp_path, monkeypatch):
     """`giajax fit --again`."""

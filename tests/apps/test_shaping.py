@@ -142,16 +142,16 @@ def test_a_damper_has_the_damping_of_a_damper():
 
 @pytest.fixture(scope="module")
 def short():
-    """Six links in air that moves with them."""
-    return ArmModel(takeichi_20m_full(6))
+    """Three links in air that moves with them."""
+    return ArmModel(takeichi_20m_full(3))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("swings", [0.5, 1.0, 1.5])
 def test_a_shaped_command_leaves_little_swing(short, swings):
     """2 % of the travel, and 5 % where the stiffness is a quarter off (ZVD, EI)."""
-    period = modes_after(short.arm, moved(0.2, 6))[0].period
-    found = shape_command(short, moved(0.2, 6, swings * period))
+    period = modes_after(short.arm, moved(0.2, 3))[0].period
+    found = shape_command(short, moved(0.2, 3, swings * period))
     before, *shaped = found.rows
     assert before.residual > 0.05 * found.travel
     for row in shaped:
@@ -164,14 +164,14 @@ def test_a_shaped_command_leaves_little_swing(short, swings):
 
 def test_what_cannot_be_shaped_is_refused(short):
     with pytest.raises(InputError, match="the shaper 'XY' is unknown: use one of ZV, ZVD, EI"):
-        shape_command(short, moved(0.2, 6), shapers=["XY"])
-    with pytest.raises(InputError, match="of 2 joints, and the arm has 6"):
+        shape_command(short, moved(0.2, 3), shapers=["XY"])
+    with pytest.raises(InputError, match="of 2 joints, and the arm has 3"):
         shape_command(short, moved(0.2, 2))
     with pytest.raises(InputError, match="the command does not move the tip"):
-        shape_command(short, moved(0.0, 6))
+        shape_command(short, moved(0.0, 3))
     unstable = replace(short, {"joints.pitch_stiffness": -1.0})
     with pytest.raises(InputError, match="the arm is not stable where the command ends"):
-        shape_command(unstable, moved(0.2, 6))
+        shape_command(unstable, moved(0.2, 3))
 
 
 def untuned(arm, command):
@@ -199,27 +199,25 @@ def test_an_arm_that_sags_begins_at_its_sag():
 
 
 @pytest.mark.slow
-def test_a_drive_with_half_of_the_gain_moves_half_as_far():
-    plain, halved = (
-        takeichi_20m_full(2),
-        takeichi_20m_full(2, parameters={"joints.drive_gain": 0.5}),
-    )
-    one, other = (modes_after(arm, moved(angle, 2))[0] for arm, angle in
+def test_a_drive_with_half_of_the_gain_moves_half_as_far(short):
+    plain = short.arm
+    halved = takeichi_20m_full(3, parameters={"joints.drive_gain": 0.5})
+    one, other = (modes_after(arm, moved(angle, 3))[0] for arm, angle in
                   ((plain, 0.1), (halved, 0.2)))  # fmt: skip
     assert other.swing == pytest.approx(one.swing, rel=1e-9)
     assert other.damping == pytest.approx(one.damping, rel=1e-9)
-    late = takeichi_20m_full(2, parameters={"joints.drive_lag": one.period / (2 * np.pi)})
-    behind = min(modes_after(late, moved(0.1, 2)), key=lambda mode: abs(mode.period - one.period))
+    late = takeichi_20m_full(3, parameters={"joints.drive_lag": one.period / (2 * np.pi)})
+    behind = min(modes_after(late, moved(0.1, 3)), key=lambda mode: abs(mode.period - one.period))
     assert behind.swing == pytest.approx(one.swing / np.sqrt(2), rel=1e-9)
 
 
 @pytest.mark.slow
 def test_a_command_there_and_back_is_of_the_travel_in_between(short):
-    angles = np.zeros((4, 6))
+    angles = np.zeros((4, 3))
     angles[1:3, 0] = 0.1
     command = Command(np.array([0.0, 2.0, 9.0, 11.0]), angles)
     found = shape_command(short, command, shapers=["ZVD"], tuned=False)
-    once = shape_command(short, moved(0.1, 6, 2.0), shapers=["ZVD"], tuned=False)
+    once = shape_command(short, moved(0.1, 3, 2.0), shapers=["ZVD"], tuned=False)
     assert found.travel == pytest.approx(once.travel, rel=1e-6)
     assert found.rows[1].residual < 0.1 * found.travel
 

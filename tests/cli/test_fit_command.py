@@ -269,7 +269,7 @@ def test_a_definition_and_what_goes_before_it(tmp_path, monkeypatch):
     monkeypatch.chdir(here)
     make_run(there)
     (there / "drag.toml").write_text(DEFINITION)
-    status, out, _ = giajax("fit", there / "drag.toml")
+    status, out, _ = giajax("fit", there / "drag.toml", "--no-figures")
     assert status == 0
     record = json.loads((here / "giajax-out" / "drag" / "result.json").read_text())
     config = record["config"]
@@ -294,7 +294,7 @@ def test_a_definition_and_what_goes_before_it(tmp_path, monkeypatch):
     status, out, _ = giajax(
         "fit", "--config", there / "drag.toml", "--start", "joints.damping=0.08", "--fix",
         "air.drag_coefficient=1.0", "--loss", "linear", "--max-iterations", "1", "--tolerance",
-        "1e-8", "--out", "b",
+        "1e-8", "--out", "b", "--no-figures",
     )  # fmt: skip
     config = json.loads((here / "b" / "result.json").read_text())["config"]
     assert config["free"] == ["joints.pitch_stiffness", "joints.damping"]
@@ -311,7 +311,7 @@ def test_a_channel_is_renamed_on_the_way(data):
     data.with_suffix(".toml").write_text("[arm]\nlinks = 4")
     status, out, _ = giajax(
         "fit", "--data", data, "--rename", "tip height=link04_z_m", "--free", "joints.damping",
-        "--max-iterations", "1", "--out", "out",
+        "--max-iterations", "1", "--out", "out", "--no-figures",
     )  # fmt: skip
     assert status == 1
     channels = load_result(data.parent / "out").runs[0].channels

@@ -213,7 +213,14 @@ def test_what_is_driven_has_outliers_or_does_not_swing_begins_with_all_rows(tmp_
     assert parts_of(driven, truth, stiff) == {1.0}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("valley", VALLEYS)
+# Twenty starts in one valley; of each, one from either end is in the test above.
+LONG = ("drag", "friction")
+ANY = [
+    pytest.param(valley, marks=pytest.mark.long if valley in LONG else pytest.mark.slow)
+    for valley in VALLEYS
+]
+
+
+@pytest.mark.parametrize("valley", ANY)
 def test_it_converges_from_any_start(tmp_path, valley):
     converges(tmp_path, valley, STARTS)

@@ -37,11 +37,21 @@ def arm_at(box, **about):
 THEIRS = {}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("box", "joint"), [(WALL, 1), (EDGE, 2)], ids=["swing into a wall", "press on an edge"]
+    ("box", "joint", "solver"),
+    [
+        pytest.param(WALL, 1, "springs5", marks=pytest.mark.slow),
+        pytest.param(EDGE, 2, "springs5", marks=pytest.mark.slow),
+        pytest.param(WALL, 1, "tsit5", marks=pytest.mark.slow),
+        # That both solvers agree is asserted below.
+        pytest.param(EDGE, 2, "tsit5", marks=pytest.mark.long),
+    ],
+    ids=[
+        f"{solver}-{what}"
+        for solver in ("springs5", "tsit5")
+        for what in ("swing into a wall", "press on an edge")
+    ],
 )
-@pytest.mark.parametrize("solver", ["tsit5", "springs5"])
 def test_the_same_penalty_in_mujoco(box, joint, solver):
     """With its own distances at 200 points of each link; ours has 15 in each contact."""
     arm = arm_at(box, pressure=200.0)

@@ -210,9 +210,14 @@ def test_what_pressures_do_is_stored_or_lost(lag):
     assert size > 0.004
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("solver", "lag"), [("springs5", None), ("springs5", 0.3), ("tsit5", None)]
+    ("solver", "lag"),
+    [
+        # Each solver and each kind of drive once.
+        pytest.param("springs5", None, marks=pytest.mark.long),
+        pytest.param("springs5", 0.3, marks=pytest.mark.slow),
+        pytest.param("tsit5", None, marks=pytest.mark.slow),
+    ],
 )
 def test_derivatives_from_rest_are_slopes(solver, lag):
     """Of an arm that lies still and straight at first, where much of it has corners."""

@@ -124,9 +124,9 @@ def test_a_table_of_all_joints_with_a_command_in_the_wrong_column_is_named():
 @pytest.mark.slow
 def test_a_drive_that_does_not_move_is_named():
     """Of four joints with commands; a fit frees its gain alone, and finds none."""
-    late = {"joint03_command": 0.1 * np.clip((TIMES - 1) / 0.5, 0, 1)}
-    late["joint04_command"] = 0.4 * np.clip((TIMES - 2) / 0.5, 0, 1)
-    run = recorded({"joints.drive_gain": [1.0, 1.0, 0.0, 1.0]}, commands=COMMANDS | late)
+    # They move when the others do: as many rows of commands, and the same programs.
+    more = {"joint03_command": 0.1 * RAMP, "joint04_command": 0.4 * RAMP}
+    run = recorded({"joints.drive_gain": [1.0, 1.0, 0.0, 1.0]}, commands=COMMANDS | more)
     free = list(small_arm.START)
     result = giajax.fit(arm(), run, free=free, start=small_arm.START, check=False)
     assert result.verdict.status == "inadequate"
@@ -203,11 +203,30 @@ def test_a_memory_is_switched_on_with_its_yield_angle_free():
 
 
 @pytest.mark.slow
+def test_joints_of_different_stiffness_scatter():
+    uneven = small_arm.TRUTH | {"joints.stiffness_factor": [1.1, 1.0, 0.9, 1.0]}
+    noise = {"position": small_arm.NOISE / 10}
+    truth = replace(arm(), uneven)
+    run = giajax.synthesise(truth, TIMES, COMMANDS, CHANNELS, noise=noise, constants=arm())
+    row = asked(run).of("joints.stiffness_factor")
+    assert row.kind == "scatter"
+    assert row.p_value < 1e-6
+    assert row.estimate == pytest.approx(0.1, abs=0.07)
+
+
+REMEMBERS = {"joints.memory.strength": 0.3, "joints.memory.yield_angle": 0.02}
+
+
 def test_what_joints_remember_at_the_first_row_is_asked_of_those_that_remember():
-    """Not of others, and each of them otherwise."""
     assert "joints.memory.initial" not in arm().scattering()
-    remembers = {"joints.memory.strength": 0.3, "joints.memory.yield_angle": 0.02}
-    model = arm(parameters=remembers)
+    assert "joints.memory.initial" in arm(parameters=REMEMBERS).scattering()
+
+
+# Choices of an arm that remembers are programs that take minutes.
+@pytest.mark.long
+def test_what_joints_remember_at_the_first_row_is_the_first_suspect():
+    """Of each joint otherwise."""
+    model = arm(parameters=REMEMBERS)
     before = {"joints.memory.initial": [0.8, -0.7, -0.6, 0.8]}
     truth = replace(model, {**small_arm.TRUTH, **before})
     noise = {"position": small_arm.NOISE}
@@ -265,15 +284,18 @@ def test_what_an_arm_may_have_more_is_a_choice(name):
     assert row.chi_square_drop > 0.5 * found.promising[0].chi_square_drop
 
 
-@pytest.mark.slow
-def test_lift_that_is_lost_in_a_run_is_named():
+@pytest.mark.parametrize(
+    "parameters_alone", [pytest.param(True, marks=SLOW), pytest.param(False, marks=LONG)]
+)
+def test_lift_that_is_lost_in_a_run_is_named(parameters_alone):
+    """Among choices, too, each of which is a program."""
     model = arm(trim=True, gravity=9.81)
     truth = replace(model, {**small_arm.TRUTH, "buoyancy.imbalance_drift": -0.01})
     noise = {"position": small_arm.NOISE}
     run = giajax.synthesise(truth, TIMES, COMMANDS, CHANNELS, noise=noise, constants=model)
     free = list(small_arm.START)
     result = giajax.fit(model, run, free=free, start=small_arm.START, check=False)
-    first = giajax.suspects(result, run).promising[0]
+    first = giajax.suspects(result, run, parameters_alone=parameters_alone).promising[0]
     assert "buoyancy.imbalance_drift" in (first.path, *first.alike, *first.together)
     assert first.p_value < 1e-6
 
@@ -284,10 +306,11 @@ def test_a_right_arm_is_not_accused():
     assert len(named) <= 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 10])
-def test_noise_with_a_memory_is_no_point_that_was_taken_for_another(seed):
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=SLOW), pytest.param(10, marks=LONG)])
+def test_noise_with_a_memory_is_no_point_that_was_taken_for_another(seed, monkeypatch):
     """By these numbers, one link might be shown by another one's marker, as of white noise."""
+    # Choices are programs of their own, and nothing to points.
+    monkeypatch.setattr(ArmModel, "variants", lambda self: {})
     times, fade = np.linspace(0.0, 12.0, 121), 0.9
     ramp = np.clip(times / 0.5, 0, 1)
     commands = {"joint01_command": 0.6 * ramp, "joint02_command": -0.5 * ramp}
