@@ -68,7 +68,7 @@ class Events(NamedTuple):
 
 
 _SLOTS = 20  # times at which a change may have been
-_LARGEST = 5.0  # of a change, over its deviation
+_LARGEST = 3.0  # of a change, over its deviation
 EVERY = 2.0
 """From one of these times to the next, s."""
 
