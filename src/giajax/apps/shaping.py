@@ -19,7 +19,7 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import root
 
-from ..fitting import FitResult
+from ..fitting import FitResult, arm_model_of
 from ..mechanics.arm import Arm, acceleration, mass_matrix, tip_position
 from ..models import AbstractModel, ArmModel
 from ..report import BLUE, GREEN, GREY, VERMILLION, new_figure, plain
@@ -35,7 +35,6 @@ from ..runtime.arrays import Array, Float
 from ..runtime.parallel import Batch, run_on_all_cores
 from ..runtime.programs import program
 from ..runtime.text import InputError
-from ..schema import ARM
 from ..schema.parameters import declared, elements, replace
 from ..simulation import Signal, constant, followed, simulate
 from .design import draws, known_before
@@ -475,21 +474,6 @@ _LET = 0.4  # weight of what is left then: 5 % where it is 2 % without an error
 # swing), then how far around the best, of the period and of the damping.
 _PERIODS, _DAMPINGS = (1.0, 1.4), (0.0, 0.1, 0.25, 0.4, 0.6, 0.8)
 _CLOSER = ((0.12, 0.08), (0.05, 0.04))
-
-
-def arm_model_of(model: AbstractModel | FitResult) -> ArmModel:
-    """The model of an arm, fitted or not.
-
-    Raises:
-        InputError: it is another model.
-    """
-    stated = model.model if isinstance(model, FitResult) else model
-    if stated.kind != ARM.name:
-        raise InputError(
-            f"the model is that of a {stated.kind}, and commands are shaped for an arm: give a fit "
-            "of one, or its file"
-        )
-    return cast("ArmModel", stated)
 
 
 def shape_command(

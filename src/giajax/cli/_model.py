@@ -23,6 +23,7 @@ from ._commands import (
 )
 
 if TYPE_CHECKING:
+    from ..fitting import FitResult
     from ..models import AbstractModel
     from ..recordings import Definition, Run
     from ..schema.parameters import Parameter
@@ -53,10 +54,18 @@ def definition_of(path: Path | None) -> "Definition":
 
 def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
     """The model of a fit, or else of the runs, which were read with `definition_of` the file."""
+    from ..fitting import FitResult
+
+    found = fit_or_model(path, runs)
+    return found.model if isinstance(found, FitResult) else found
+
+
+def fit_or_model(path: Path | None, runs: Sequence["Run"]) -> "FitResult | AbstractModel":
+    """A fit itself, or else the model of the runs."""
     from ..fitting import load_result
     from ..models import model_for
 
-    return model_for(runs) if path is None or not is_result(path) else load_result(path).model
+    return model_for(runs) if path is None or not is_result(path) else load_result(path)
 
 
 def arm_of(path: Path | None, preset: str | None = None, *, quiet: bool = False) -> "Definition":

@@ -24,7 +24,7 @@ from ._commands import (
     say_written,
     write_folder,
 )
-from ._model import definition_of, is_result, model_of
+from ._model import definition_of, fit_or_model, is_result
 
 if TYPE_CHECKING:
     from ..apps.shaping import Command, Shaped, Shaping
@@ -80,11 +80,9 @@ def shape(
     recorded = read_run(run, definition=definition_of(model), rename=parse_rename(rename or []))
     configure()
     from ..apps.shaping import shape_command, shaping_facts, shaping_figure
-    from ..fitting import load_result
     from ..report import to_png
 
-    fitted = model is not None and is_result(model)
-    source: Any = load_result(model) if fitted and model else model_of(model, [recorded])
+    source = fit_or_model(model, [recorded])
     given = _command(recorded, source)
     with failed_simulation(""):
         found = shape_command(
@@ -127,7 +125,8 @@ def _command(run: "Run", source: Any) -> "Command":
     """The commands of a run, of all joints of an arm, at their corners, from 0 s on."""
     import numpy as np
 
-    from ..apps.shaping import Command, arm_model_of
+    from ..apps.shaping import Command
+    from ..fitting import arm_model_of
     from ..schema import CommandSection
     from ..simulation import logged
 

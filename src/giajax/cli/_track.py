@@ -27,13 +27,12 @@ from ._commands import (
     say_written,
     write_folder,
 )
-from ._model import definition_of, is_result, model_of
+from ._model import definition_of, fit_or_model, is_result
 from ._simulate import gust_numbers
 from ._values import deviations, noise_section, plain_settings, velocity
 
 if TYPE_CHECKING:
     from ..apps.tracking import Air, Bias, Track, TrackVerdict
-    from ..models import ArmModel
     from ..recordings import Run
 
 _STANDARD_INPUT = Path("-")
@@ -171,15 +170,13 @@ def track(
         track_figure,
         unseen,
     )
-    from ..fitting import load_result
     from ..report import study_page, to_png
 
-    fitted = model is not None and is_result(model)
     true = None if truth is None else read_run(truth)
     considered = _numbers(uncertain, "--uncertain")
 
     def known_of(recorded: "Run") -> tuple[Any, Unknown]:
-        source = load_result(model) if fitted and model else model_of(model, [recorded])
+        source = fit_or_model(model, [recorded])
         decay = 12.0 if coherence is None else coherence
         estimated = _estimated(free, source)
         for path in estimated:
@@ -299,7 +296,7 @@ def _follow(
 
 def _estimated(given: list[str] | None, source: Any) -> dict[str, float]:
     """Deviations by path, of which those that are not stated are a share of the value."""
-    from ..apps.tracking import arm_model
+    from ..fitting import arm_model_of
     from ..schema.parameters import find
 
     found: dict[str, float] = {}
@@ -308,7 +305,7 @@ def _estimated(given: list[str] | None, source: Any) -> dict[str, float]:
         if stated:
             found |= _numbers([each], "--free")
             continue
-        model = arm_model(source)
+        model = arm_model_of(source)
         value = find(model, path).value(model)
         if value is None or value.size != 1 or not float(value):
             raise InputError(
@@ -327,10 +324,11 @@ def _air(
     coherence: float,
     places: int | None,
 ) -> "Air":
-    from ..apps.tracking import Air, arm_model, usual_places
+    from ..apps.tracking import Air, usual_places
     from ..apps.wind import first_guess
+    from ..fitting import arm_model_of
 
-    arm: ArmModel = arm_model(source)
+    arm = arm_model_of(source)
     wind = first_guess(flow, parts if len(parts) == 3 else parts[0], length_scale, coherence)
     many = usual_places(arm) if places is None else places
     return Air(wind, mean_deviation=0.5 * wind.speed, places=many)

@@ -114,6 +114,7 @@ from ._result import (
     FitResult as FitResult,
     IntegrationFit as IntegrationFit,
     PredictedRun as PredictedRun,
+    arm_model_of as arm_model_of,
     errors_of as errors_of,
     load_result as load_result,
     parse_result as parse_result,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from ..models import AbstractModel, Channels, as_stated, build_model, capabilities
+from ..models import AbstractModel, ArmModel, Channels, as_stated, build_model, capabilities
 from ..noise import Verdict
 from ..recordings import SCHEMA_VERSION, Run, stored_result
 from ..runtime.plugins import check_sources, hint
@@ -393,6 +393,17 @@ _STORED = dataclasses.make_dataclass(
         if one.name not in ("model", "predictions", "held_predictions")
     ],
 )
+
+
+def arm_model_of(model: AbstractModel | FitResult) -> ArmModel:
+    """The model of an arm, fitted or not (`InputError`: it is another model)."""
+    stated = model.model if isinstance(model, FitResult) else model
+    if not isinstance(stated, ArmModel):
+        raise InputError(
+            f"the model is that of a {stated.kind}, and this is for arms: give a fit of one, or "
+            "its file"
+        )
+    return stated
 
 
 def load_result(path: str | Path) -> FitResult:

@@ -57,7 +57,6 @@ from ._track import (
     States as States,
     Track as Track,
     Unknown as Unknown,
-    arm_model as arm_model,
     track as track,
 )
 from ._tracker import DelayedFilter as DelayedFilter, Tracker as Tracker

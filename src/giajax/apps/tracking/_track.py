@@ -5,21 +5,21 @@ import dataclasses
 import itertools
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import root
 
-from ...fitting import FitResult
+from ...fitting import FitResult, arm_model_of
 from ...mechanics.arm import Arm, acceleration, tip_position
 from ...models import AbstractModel, ArmModel, camera_of, clock_of
 from ...recordings import Channel, Run
 from ...runtime.arrays import Array, Float
 from ...runtime.programs import program
 from ...runtime.text import InputError
-from ...schema import ARM, WindSection
+from ...schema import WindSection
 from ...schema.parameters import declared, find
 from ...simulation import Signal
 from ..design import known_before
@@ -198,23 +198,9 @@ class Track:
     changes: tuple[Change, ...]
 
 
-def arm_model(model: AbstractModel | FitResult) -> ArmModel:
-    """The model of an arm, fitted or not.
-
-    Raises:
-        InputError: it is another model.
-    """
-    stated = model.model if isinstance(model, FitResult) else model
-    if stated.kind != ARM.name:
-        raise InputError(
-            f"the model is that of a {stated.kind}, and arms are tracked: give a fit of one"
-        )
-    return cast("ArmModel", stated)
-
-
 def considered_of(result: FitResult) -> tuple[dict[str, float], np.ndarray]:
     """Standard errors of the arm's parameters that a fit found, by path, and their correlation."""
-    of_arm = declared(arm_model(result).arm)
+    of_arm = declared(arm_model_of(result).arm)
     paths = [
         path
         for path in result.free
@@ -250,7 +236,7 @@ def model_and_unknown(
         InputError: it is no arm.
     """
     unknown = with_errors_of(model, Unknown() if unknown is None else unknown)
-    return arm_model(model.model_of(run) if isinstance(model, FitResult) else model), unknown
+    return arm_model_of(model.model_of(run) if isinstance(model, FitResult) else model), unknown
 
 
 def delays_of(model: ArmModel, channels: Sequence[str]) -> dict[str, float]:

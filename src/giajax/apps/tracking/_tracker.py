@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...fitting import FitResult
+from ...fitting import FitResult, arm_model_of
 from ...models import AbstractModel
 from ...recordings import Channel
 from ...runtime.arrays import Array
@@ -35,7 +35,6 @@ from ._track import (
     Settings,
     States,
     Unknown,
-    arm_model,
     as_states,
     begun_with,
     delays_of,
@@ -352,7 +351,7 @@ class Tracker:
         history: float = 5.0,
         gate: float = GATE,
     ) -> None:
-        stated = arm_model(model)
+        stated = arm_model_of(model)
         given = with_errors_of(model, Unknown() if unknown is None else unknown)
         if not noise or not all(size > 0 for size in noise.values()):
             raise InputError(
