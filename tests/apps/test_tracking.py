@@ -19,7 +19,9 @@ from giajax.apps.tracking import (
     Air,
     Bias,
     Held,
+    LiveRows,
     Unknown,
+    followed_live,
     judge,
     nees,
     track,
@@ -28,6 +30,7 @@ from giajax.apps.tracking import (
 )
 from giajax.apps.wind import first_guess
 from giajax.cli import main
+from giajax.recordings import run_of_lines
 
 DATA = Path(__file__).parents[2] / "data" / "synthetic"
 LINKS = 4
@@ -269,6 +272,46 @@ def test_rows_one_by_one_and_out_of_order_end_where_the_whole_run_does(model):
         tracker.update({"time": 7.0, "link02_x": 1.0})
     with pytest.raises(InputError, match="has no time"):
         tracker.update({"tip_x": 1.0})
+
+
+def test_a_run_that_is_followed_knows_its_wind_its_start_and_its_noise(model, tmp_path):
+    times = np.linspace(0.0, 12.0, 25)
+    # A command that moved on a line until 11 s would be half a second early.
+    angle = np.where(times < 2.0, 0.0, np.where(times < 11.0, 0.3, 0.9))
+    command = giajax.simulation.steps(times, angle[:, None] * np.eye(LINKS)[0])
+    wind, begun = [0.0, 0.3, 0.0], np.array([0.2, 0.0, -0.1, 0.0])
+    given = {"wind": giajax.simulation.constant(wind), "initial": (begun, np.zeros(LINKS))}
+    tip = np.asarray(giajax.simulate(model.arm, command, times, **given).tip)
+    values = {f"tip_{axis}": tip[:, k] for k, axis in enumerate("xyz")}
+    path = tmp_path / "run.csv"
+    stated = {
+        "model": "arm",
+        "arm": model.definition()["arm"],
+        "noise": {
+            "position_m": 0.005,
+            "position_correlated_m": 0.003,
+            "position_correlation_s": 5.0,
+        },
+        "wind": {"velocity_m_per_s": wind},
+        "command": {"interpolation": "zoh"},
+        "initial": {"angle_deg": np.rad2deg(begun).tolist()},
+    }
+    giajax.write_run(path, times, values | {"joint01_command": angle}, definition=stated)
+    unknown = Unknown(torque=1e-4)
+    found = track(model, giajax.read_run(path), unknown=unknown)
+    for latency in (0.0, 1.0):
+        with path.open("rb") as file:
+            rows = LiveRows(iter(file), path, {}, pytest.fail)
+            known = (rows, lambda data: run_of_lines(data, path), lambda run: (model, unknown))
+            *_, last = followed_live(*known, latency=latency)
+        assert last.now.biases.shape[1] == found.filtered.biases.shape[1] == 3
+        off = np.max(np.abs(last.now.angles[0] - found.filtered.angles[-1]))
+        assert off > 0.01 if latency else off < 0.002
+    assert last.nis is not None
+    assert last.nis < 2
+    assert rows.kept == path.read_bytes()
+    with pytest.raises(InputError, match="do not track one"):
+        giajax.Tracker(model, noise={"tip_z": 0.01}, unknown=Unknown(air=Air(WIND, 0.1)), wind=wind)
 
 
 def test_what_cannot_be_tracked_is_refused(model):
