@@ -30,7 +30,7 @@ from giajax.apps.tracking import (
 )
 from giajax.apps.wind import first_guess
 from giajax.cli import main
-from giajax.recordings import run_of_lines
+from giajax.recordings import LineReader
 
 DATA = Path(__file__).parents[2] / "data" / "synthetic"
 LINKS = 4
@@ -301,9 +301,8 @@ def test_a_run_that_is_followed_knows_its_wind_its_start_and_its_noise(model, tm
     found = track(model, giajax.read_run(path), unknown=unknown)
     for latency in (0.0, 1.0):
         with path.open("rb") as file:
-            rows = LiveRows(iter(file), path, {}, pytest.fail)
-            known = (rows, lambda data: run_of_lines(data, path), lambda run: (model, unknown))
-            *_, last = followed_live(*known, latency=latency)
+            rows = LiveRows(iter(file), LineReader(path), lambda run: run, pytest.fail)
+            *_, last = followed_live(rows, lambda run: (model, unknown), latency=latency)
         assert last.now.biases.shape[1] == found.filtered.biases.shape[1] == 3
         off = np.max(np.abs(last.now.angles[0] - found.filtered.angles[-1]))
         assert off > 0.01 if latency else off < 0.002
@@ -521,6 +520,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
         (["--free", f"{STIFFNESS}=-1"], "give one positive number"),
         (["--free", STIFFNESS, "--uncertain", f"{STIFFNESS}=1"], "by --free and by --uncertain"),
         (["--truth", str(tmp_path / "none.csv")], "none.csv"),
+        (["--truth", str(path)], "no true angle or rate"),
     ):
         assert main(["track", str(path), *wrong, "--out", str(tmp_path / "no")]) == 2
         assert says in capsys.readouterr().err
@@ -540,9 +540,27 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(whole)))
     assert main(["track", "-", *given, "--json", "--out", str(tmp_path / "some")]) == 0
     said = capsys.readouterr().err
-    named = [k for k in range(30) if f"row {k} " in said or f"row {k}," in said]
+    named = [k for k in range(30) if f"row {k} is left out" in said]
     assert named == [13, 14, 15, 26]
     assert (tmp_path / "some" / "recorded.csv").read_bytes() == b"".join(rows[:20])
+
+    # Nor do those that the whole run could not have; and sensors may take turns.
+    names = rows[0].decode().strip().split(",")
+    table = [dict(zip(names, row.decode().strip().split(","), strict=True)) for row in rows[1:30]]
+    for k, row in enumerate(table):
+        row |= dict.fromkeys(("tip_x_m", "tip_y_m") if k % 2 else ("tip_z_m",), "")
+    table[4]["joint01_command_deg"] = ""
+    table[5]["tip_x_m"] = "inf"
+    table[6]["time_s"] = "9e7"
+    text = "\n".join([",".join(names), *(",".join(row.values()) for row in table), ""])
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
+    assert main(["track", "-", *given, "--json", "--out", str(tmp_path / "turns")]) == 0
+    said = capsys.readouterr().err
+    assert [k for k in range(40) if f"row {k} is left out" in said] == [6, 7, 8]
+    assert (tmp_path / "turns" / "track.json").exists()
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(rows[0][:-1])))
+    assert main(["track", "-", *given, "--out", str(tmp_path / "no")]) == 2
+    assert "before its second row" in capsys.readouterr().err
 
     # A checksum in the sidecar is of the run once it is complete.
     stated_there = path.with_suffix(".toml").read_text()

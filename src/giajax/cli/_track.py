@@ -135,7 +135,6 @@ def track(
         observing,
         parse_rename,
         read_run,
-        run_of_lines,
         stored_result,
         write_run,
     )
@@ -172,7 +171,7 @@ def track(
     )
     from ..report import study_page, to_png
 
-    true = None if truth is None else read_run(truth)
+    true = None if truth is None else _true(truth)
     considered = _numbers(uncertain, "--uncertain")
 
     def known_of(recorded: "Run") -> tuple[Any, Unknown]:
@@ -198,9 +197,9 @@ def track(
             run,
             out,
             live,
-            lambda data, path: some(run_of_lines(data, path, **how_read)),
+            how_read,
+            some,
             known_of,
-            how_read["rename"],
             gate=gate,
             latency=latency,
             as_json=as_json,
@@ -214,9 +213,15 @@ def track(
     found = tracked(source, recorded, unknown=unknown, latency=latency, gate=gate, progress=say)
     verdict = judge(source, found, progress=say, look=not no_judge)
     facts = track_facts(found, verdict, hidden)
+    said = None
     if true is not None:
-        square, share = nees(found, true)
-        facts["truth"] = {"nees_per_state": square, "within_95_percent": share}
+        try:
+            square, share = nees(found, true)
+        except InputError as error:  # what was tracked is written
+            said = f"note: {error}"
+        else:
+            facts["truth"] = {"nees_per_state": square, "within_95_percent": share}
+            said = f"truth: NEES {square:.3g} per state, {share:.1%} within the 95 % bands"
     text = json.dumps(facts, indent=2, allow_nan=False)
     picture = to_png(track_figure(found))
     contents = {
@@ -235,20 +240,32 @@ def track(
         typer.echo(json.dumps(facts, allow_nan=False) if followed else text)
     elif not quiet:
         _show(found, verdict, hidden)
-        if true is not None:
-            typer.echo(f"truth: NEES {square:.3g} per state, {share:.1%} within the 95 % bands")
+        if said is not None:
+            typer.echo(said)
         say_written(out, [*contents, _RUN])
         if page is None:
             typer.echo("note: track.html needs the extra report")
+
+
+def _true(path: Path) -> "Run":
+    """A run with true angles or rates of joints."""
+    from ..recordings import read_run
+
+    true = read_run(path)
+    if not any(channel.kind in ("joint_angle", "joint_rate") for channel in true.channels.values()):
+        raise InputError(
+            f"{path} has no true angle or rate of a joint: give columns such as joint01_angle_deg"
+        )
+    return true
 
 
 def _follow(
     run: Path,
     out: Path,
     patience: float | None,
-    read: Any,
+    how_read: "Mapping[str, Any]",
+    some: Any,
     known_of: Any,
-    rename: dict[str, str],
     *,
     gate: float,
     latency: float,
@@ -257,7 +274,7 @@ def _follow(
 ) -> "Run":
     """Track a run while it is recorded; the run of its rows."""
     from ..apps.tracking import LiveRows, followed_live, heard_facts, heard_line, lines_of
-    from ..recordings import make_folder
+    from ..recordings import LineReader, make_folder
 
     copy = None
     if run == _STANDARD_INPUT:
@@ -268,12 +285,13 @@ def _follow(
         raise InputError(f"{run} is a folder: give a file that is being recorded")
     else:
         lines = lines_of(run, _PATIENCE if patience is None else patience)
-    rows = LiveRows(lines, run, rename, lambda text: typer.echo(text, err=True))
     path = out / _HEARD if run == _STANDARD_INPUT else run
+    reader = LineReader(path, **how_read)
+    rows = LiveRows(lines, reader, some, lambda text: typer.echo(text, err=True))
     given: Any = {"latency": latency, "gate": gate}
     written = 0
     try:
-        for heard in followed_live(rows, lambda data: read(data, path), known_of, **given):
+        for heard in followed_live(rows, known_of, **given):
             if run == _STANDARD_INPUT:
                 if copy is None:
                     make_folder(out)
@@ -285,13 +303,13 @@ def _follow(
             elif not quiet:
                 typer.echo(heard_line(heard))
     except KeyboardInterrupt:
-        typer.echo("stopped: what was recorded until now is tracked", err=True)
+        typer.echo("stopped: what was read until now is tracked", err=True)
         go_on()
     finally:
         if copy is not None:
             copy.write(rows.kept[written:])
             copy.close()
-    return read(bytes(rows.kept), path)
+    return rows.run()
 
 
 def _estimated(given: list[str] | None, source: Any) -> dict[str, float]:

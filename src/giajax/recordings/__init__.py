@@ -47,6 +47,7 @@ from ._mistakes import Mistake as Mistake, mistakes as mistakes, point_of as poi
 from ._plausible import oddities as oddities
 from ._plausible_columns import Oddity as Oddity
 from ._read import (
+    LineReader as LineReader,
     check_output_files as check_output_files,
     check_output_folder as check_output_folder,
     check_output_run as check_output_run,
@@ -57,7 +58,6 @@ from ._read import (
     read_runs as read_runs,
     read_sidecar as read_sidecar,
     rows_of as rows_of,
-    run_of_lines as run_of_lines,
     sidecar_path as sidecar_path,
     windows as windows,
     write_files as write_files,
@@ -74,7 +74,6 @@ from ._table import (
     column_names as column_names,
     read_numbers as read_numbers,
     read_table as read_table,
-    table_of_lines as table_of_lines,
 )
 from ._tracked import (
     Beside as Beside,

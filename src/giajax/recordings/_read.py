@@ -184,32 +184,52 @@ def read_run(
             f"{path} has the SHA-256 {table.sha256[:12]}..., but {sidecar_path(path)} says "
             f"{sidecar.sha256[:12]}...: get the file again, or correct sha256 there"
         )
-    return _with_sidecar(table, path, sidecar, definition)
+    return run_of(table, path, _with_definition(sidecar, definition))
 
 
-def run_of_lines(
-    data: bytes,
-    path: Path,
-    *,
-    rename: Mapping[str, str] | None = None,
-    definition: Definition | None = None,
-) -> Run:
-    """As `read_run`, of lines of a file that may still grow; the first names its columns.
+class LineReader:
+    """Reads runs as `read_run`, of lines of a file that may still grow; its sidecar is read once.
 
     A checksum that the sidecar states is of the whole file, and does not count.
     """
-    sidecar = read_sidecar(path)
-    return _with_sidecar(table_of_lines(data, path, rename), path, sidecar, definition)
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        rename: Mapping[str, str] | None = None,
+        definition: Definition | None = None,
+    ) -> None:
+        self._path, self._rename, self._definition = path, rename, definition
+        self._sidecar = read_sidecar(path)
+
+    def check_names(self, header: bytes) -> None:
+        """Raise `InputError` unless a line names columns of a run over time."""
+        if table_of_lines(header, self._path, self._rename).times is None:
+            raise InputError(f"{self._path} has no time_s, by which it is followed: give it")
+
+    def read(self, data: bytes, first_row: int = 2, *, partial: bool = False) -> Run:
+        """The run of some lines, of which the first one names the columns.
+
+        Arguments:
+            data: the lines.
+            first_row: what errors call the one after the first.
+            partial: whether it goes on, and may have one row, or channels without a value.
+
+        Raises:
+            InputError: as `read_run`.
+        """
+        table = table_of_lines(data, self._path, self._rename, first_row)
+        definition = _with_definition(self._sidecar, self._definition)
+        return run_of(table, self._path, definition, partial=partial)
 
 
-def _with_sidecar(
-    table: Table, path: Path, sidecar: Definition, definition: Definition | None
-) -> Run:
-    if definition is not None:
-        keys = run_keys(model=True)
-        contents = {key: item for key, item in definition.contents().items() if key in keys}
-        sidecar = sidecar.merged_with(Definition.parse(contents))
-    return run_of(table, path, sidecar)
+def _with_definition(sidecar: Definition, definition: Definition | None) -> Definition:
+    if definition is None:
+        return sidecar
+    keys = run_keys(model=True)
+    contents = {key: item for key, item in definition.contents().items() if key in keys}
+    return sidecar.merged_with(Definition.parse(contents))
 
 
 def read_runs(
@@ -230,8 +250,8 @@ def read_runs(
     return selected(runs, definition.fit.channels, definition.fit.window_s, beside)
 
 
-def run_of(table: Table, path: Path, definition: Definition) -> Run:
-    """The run that a table and a definition make together, checked."""
+def run_of(table: Table, path: Path, definition: Definition, *, partial: bool = False) -> Run:
+    """The run that a table and a definition make together, checked; as `build_run`."""
     return build_run(
         name=path.stem,
         times=table.times,
@@ -241,6 +261,7 @@ def run_of(table: Table, path: Path, definition: Definition) -> Run:
         naming=Naming(str(path), "row", table.first_row, columns=True),
         path=path,
         sha256=table.sha256,
+        partial=partial,
     )
 
 

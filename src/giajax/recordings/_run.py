@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -98,16 +98,19 @@ def _check_unit(times: Times, steps: Times, naming: Naming) -> None:
         )
 
 
+Empty = Literal["none", "some", "all"]
+
+
 def _first(wrong: npt.NDArray[np.bool_]) -> int | None:
     """The first sample that is wrong, or None."""
     at = np.flatnonzero(wrong)
     return int(at[0]) if at.size else None
 
 
-def _check(content: "Run", naming: Naming) -> None:
+def _check(content: "Run", naming: Naming, *, partial: bool) -> None:
     """Raise `InputError` for the first thing in a run that no model could use."""
     kind = content.kind
-    _check_lengths(content, naming)
+    _check_lengths(content, naming, partial=partial)
     if content.times is not None:
         check_times(content.times, naming, integrated=kind.timed)
     measured = {name for name, channel in content.channels.items() if channel.kind in kind.outputs}
@@ -116,7 +119,10 @@ def _check(content: "Run", naming: Naming) -> None:
             _check_text(content.values[name], channel, naming)
         else:
             # What acts on a model must be known at every sample; only measurements may be missing.
-            _check_numbers(content.values[name], channel, naming, gaps=name in measured)
+            empty: Empty = "none"
+            if name in measured:
+                empty = "all" if partial else "some"
+            _check_numbers(content.values[name], channel, naming, empty=empty)
     for column in content.definition.noise.columns:
         if parse_column(column).name not in measured:
             raise InputError(
@@ -126,7 +132,7 @@ def _check(content: "Run", naming: Naming) -> None:
     kind.check(content, naming)
 
 
-def _check_lengths(content: "Run", naming: Naming) -> None:
+def _check_lengths(content: "Run", naming: Naming, *, partial: bool) -> None:
     kind, times, values, channels = content.kind, content.times, content.values, content.channels
     if times is None and kind.timed:
         run = f"{'an' if kind.name[0] in 'aeiou' else 'a'} {kind.name} run"
@@ -143,7 +149,7 @@ def _check_lengths(content: "Run", naming: Naming) -> None:
                 f"{naming.source}: {naming.of(channels[name])} has {len(array)} samples, but "
                 f"must have {length} like the others: give it at every sample, NaN where missing"
             )
-    least = 1 if times is None else 2
+    least = 1 if times is None or partial else 2
     if length < least:
         raise InputError(
             f"{naming.source} has {length} sample{'s' * (length != 1)}, but must have at least "
@@ -162,10 +168,14 @@ def _check_text(array: npt.NDArray[Any], channel: Channel, naming: Naming) -> No
 
 
 def _check_numbers(
-    array: npt.NDArray[Any], channel: Channel, naming: Naming, *, gaps: bool
+    array: npt.NDArray[Any],
+    channel: Channel,
+    naming: Naming,
+    *,
+    empty: Empty,
 ) -> None:
     missing, called = np.isnan(array), f"{naming.source}: {naming.of(channel)}"
-    if missing.all():
+    if missing.all() and empty != "all":
         raise InputError(
             f"{called} has no value at all: it must have at least one, so fill or remove it"
         )
@@ -179,7 +189,7 @@ def _check_numbers(
             f"{called} is {channel.from_si(array[at]):.3g} in {naming.at(at)}, but no value of a "
             "recording is so large: correct or empty it"
         )
-    if not gaps and (at := _first(missing)) is not None:
+    if empty == "none" and (at := _first(missing)) is not None:
         raise InputError(
             f"{called} is empty in {naming.at(at)}, but what drives the model must be known at "
             "every sample: fill the gap"
@@ -450,8 +460,12 @@ def build_run(
     naming: Naming,
     path: Path | None = None,
     sha256: str | None = None,
+    partial: bool = False,
 ) -> Run:
-    """Decide the model, check the content (`InputError`: it is no run), freeze the arrays."""
+    """Decide the model, check the content (`InputError`: it is no run), freeze the arrays.
+
+    `partial`: of a run that goes on, which may have one sample, and channels without a value yet.
+    """
     if not channels:
         raise InputError(
             f"{naming.source} has only a time column: it must also have a channel, "
@@ -459,7 +473,7 @@ def build_run(
         )
     model = decide_model(channels.values(), definition.model, naming.source)
     run = Run(name, model, times, values, channels, definition, path, sha256)
-    _check(run, naming)
+    _check(run, naming, partial=partial)
     for array in (*values.values(), *(() if times is None else (times,))):
         array.setflags(write=False)
     return run

@@ -86,7 +86,7 @@ def _named(cells: Sequence[str]) -> bool:
 _TOP = 1 << 16  # bytes in which the lines above a header are looked for
 
 
-def csv_lines(data: bytes, path: Path, separator: str = ",") -> bytes:
+def csv_lines(data: bytes, path: Path, separator: str = ",", first_row: int = 2) -> bytes:
     """The lines of a CSV file, which end in a line feed, without empty ones at the end.
 
     Raises:
@@ -103,7 +103,7 @@ def csv_lines(data: bytes, path: Path, separator: str = ",") -> bytes:
         ) from None
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    _check_lengths(data, path, separator)
+    _check_lengths(data, path, separator, first_row)
     return data.rstrip(b"\n")
 
 
@@ -115,7 +115,7 @@ def split_csv(
     Raises:
         InputError: the data are not CSV in UTF-8 with as many cells in each row as in the first.
     """
-    data = csv_lines(data, path)
+    data = csv_lines(data, path, first_row=first_row)
     head, _, body = data.partition(b"\n")
     if head.count(b",") >= COLUMNS:
         raise InputError(
@@ -173,7 +173,7 @@ def split_cells(body: bytes, width: int, path: Path, first: int, separator: str 
     return _text(b"0\n" + lines + b"\n", separator)[1:].to_series()
 
 
-def _check_lengths(data: bytes, path: Path, separator: str) -> None:
+def _check_lengths(data: bytes, path: Path, separator: str, first_row: int) -> None:
     """Refuse what no name and no number is long enough for."""
     characters = np.frombuffer(data, dtype=np.uint8)
     ends = np.flatnonzero((characters == ord(separator)) | (characters == ord("\n")))
@@ -181,7 +181,8 @@ def _check_lengths(data: bytes, path: Path, separator: str) -> None:
     bad = np.flatnonzero(lengths > CELL_BYTES)
     if bad.size:
         start = 0 if bad[0] == 0 else int(ends[bad[0] - 1]) + 1
-        row = data.count(b"\n", 0, start) + 1
+        above = data.count(b"\n", 0, start)
+        row = above - 1 + first_row if above else 1
         raise InputError(
             f"{path}: a cell in row {row} has "
             f"{int(lengths[bad[0]]):,} characters, but may have {CELL_BYTES:,} at most: correct it"
@@ -296,6 +297,7 @@ def _table_of(
         raise InputError(f"{path}: {error}") from None
     times = None
     values: dict[str, npt.NDArray[Any]] = {}
+    columns = columns or [pl.Series("", [], dtype=pl.String)] * len(names)  # a header alone
     for (column, channel), series in zip(named.items(), columns, strict=True):
         where = f"{path}: column {column!r}"
         if channel.quantity == "text":

@@ -33,6 +33,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, HANGUP)
 _ONE_STROKE_S = 0.3  # some programs pass on to a child a signal that its terminal sends to both
 
 _first: int | None = None
+_came = -math.inf  # the last one, s
 
 
 def listen() -> None:
@@ -84,8 +85,10 @@ def stopped_status() -> int:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    global _first
-    if _first is None:
+    global _first, _came
+    again = time.monotonic() - _came < _ONE_STROKE_S
+    _came = time.monotonic()
+    if _first is None and not again:
         _first = number
         raise KeyboardInterrupt
 

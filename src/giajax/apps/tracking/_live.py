@@ -1,18 +1,18 @@
 """A run that is still being recorded, tracked while its lines come."""
 
-import csv
 import dataclasses
 import itertools
 import time as clock
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from ...fitting import FitResult
 from ...models import AbstractModel
-from ...recordings import Run, table_of_lines
+from ...recordings import LineReader, Run
+from ...runtime.process import stop_if_asked
 from ...runtime.text import InputError
 from ...schema import CommandSection, InitialSection, WindSection
 from ._rounds import GATE
@@ -72,16 +72,18 @@ def lines_of(path: Path, patience: float) -> Iterator[bytes]:
                 clock.sleep(_POLL)
 
 
+_BEFORE = 2  # rows, beside which the next one is checked
+
+
 class LiveRows:
     """Rows of a CSV file whose lines come one after the other; the first names the columns.
 
-    A line that is no row, or whose time is not after that of the row before, is left out with a
-    warning.
+    A line that is no row that may follow those before it is left out with a warning.
 
     Arguments:
         lines: of the file, in their order.
-        path: what warnings call it.
-        rename: as of `giajax.read_run`.
+        reader: of lines of this file.
+        read: makes a run of what the reader has read, such as of some of its channels.
         warn: called with a sentence for each line that is left out.
 
     Raises:
@@ -94,48 +96,55 @@ class LiveRows:
     def __init__(
         self,
         lines: Iterator[bytes],
-        path: Path,
-        rename: Mapping[str, str] | None,
+        reader: LineReader,
+        read: Callable[[Run], Run],
         warn: Callable[[str], None],
     ) -> None:
         self.kept = bytearray()
         self._lines = enumerate(lines, 1)
-        self._path, self._rename, self._warn = path, rename, warn
+        self._reader, self._of, self._warn = reader, read, warn
         self._header = next((line for _, line in self._lines if line.strip()), b"")
+        reader.check_names(self._header)
         self.kept += self._header
-        names = next(csv.reader([self._header.decode("utf-8", "replace")]), [])
-        # With a row without numbers: names that are none are no fault of the rows.
-        table = table_of_lines(self._header + b"," * (len(names) - 1) + b"\n", path, rename)
-        if table.times is None:
-            raise InputError(f"{path} has no time_s, by which it is tracked: give it")
 
-    def __iter__(self) -> Iterator[tuple[float, Mapping[str, np.ndarray]]]:
-        """Time (s) and values (SI, arrays of one) of each row."""
-        last = -np.inf
+    def run(self, *, partial: bool = False) -> Run:
+        """The run of all rows until now, which may still go on.
+
+        Raises:
+            InputError: no run, as of a single row.
+        """
+        return self._of(self._reader.read(bytes(self.kept), partial=partial))
+
+    def __iter__(self) -> Iterator[tuple[float, dict[str, float]]]:
+        """Time (s) and values (SI, NaN of what is missing) of each row."""
+        before: list[bytes] = []
         for number, line in self._lines:
             if not line.strip():
                 continue
+            some = [*before, line]
             try:
                 if not line.endswith(b"\n"):
-                    raise InputError(f"{self._path}: row {number} is not complete")
-                table = table_of_lines(self._header + line, self._path, self._rename, number)
-                assert table.times is not None
-                time = float(table.times[0])
-                if not last < time < np.inf:
-                    raise InputError(
-                        f"{self._path}: row {number} has no time after that of the row before"
-                    )
+                    raise InputError("it is not complete")
+                # With those before it: times increase, and in one unit.
+                data = b"".join([self._header, *some])
+                run = self._of(self._reader.read(data, number - len(before), partial=True))
+                if run.times is None or len(run.times) != len(some):
+                    raise InputError("it holds more than one row")
             except InputError as error:
-                self._warn(f"left out: {error}")
+                self._warn(f"row {number} is left out: {error}")
                 continue
-            last = time
+            before = some[-_BEFORE:]
             self.kept += line
-            yield time, table.values
+            values = {
+                name: float(column[-1])
+                for name, column in run.values.items()
+                if run.channels[name].quantity != "text"
+            }
+            yield float(run.times[-1]), values
 
 
 def followed_live(
     rows: LiveRows,
-    read: Callable[[bytes], Run],
     known_of: Callable[[Run], tuple[AbstractModel | FitResult, Unknown]],
     *,
     latency: float = 0.0,
@@ -146,7 +155,6 @@ def followed_live(
 
     Arguments:
         rows: with commands and measurements.
-        read: makes a run of what is kept of them.
         known_of: gives the arm, or a fit of it, and what is unknown beside the motion, of the
             first two rows.
         latency: after its stamp a row is there, s: what is expected is of that time.
@@ -160,15 +168,15 @@ def followed_live(
     begun = list(itertools.islice(coming, 2))
     if len(begun) < 2:
         raise InputError("the run has ended before its second row: give a header line and rows")
-    first = read(bytes(rows.kept))
+    first = rows.run(partial=True)
     tracker, what = _tracker_of(first, known_of, gate)
     recent: deque[tuple[float, float, int]] = deque()
     changes = 0
 
-    def take(time: float, values: Mapping[str, np.ndarray]) -> None:
+    def take(time: float, values: dict[str, float]) -> None:
+        stop_if_asked()
         names = [*first.commands, *first.observations]
-        there = {name: float(values[name][0]) for name in names if np.isfinite(values[name][0])}
-        tracker.update({"time": time, **there})
+        tracker.update({"time": time, **{name: values[name] for name in names}})
         square = float(np.sum(tracker.innovation**2))
         recent.append((time, square, int(np.sum(tracker.used))))
         while recent[0][0] < time - LATELY:

@@ -132,31 +132,37 @@ def watching(directions: Array) -> Watch:
 
 def _watched(
     watch: Watch,
-    length: Array,
+    learning: Learning,
     slope: Array,
     shows: Array,
     used: Array,
     correction: Correction,
     innovation: Innovation,
 ) -> tuple[Watch, Suspected]:
-    """A watch after one more event, whose motion and measurements have these slopes."""
+    """A watch after one more event, whose motion and measurements have these slopes.
+
+    Where nothing moves, parameters are considered: innovations are off by their errors, all alike,
+    and say nothing of changes.
+    """
     effect = watch.effect @ slope.T
     off = jnp.where(used, effect @ shows.T, 0)
     white = jax.scipy.linalg.solve_triangular(
         correction.factor, off.reshape(-1, off.shape[-1]).T, lower=True
     ).T.reshape(off.shape)
+    white = jnp.where(learning.moves, white, 0)
     score = watch.score + white @ innovation.whitened
     information = watch.information + jnp.sum(white**2, axis=-1)
     effect = effect - off @ correction.gain.T
-    misfit = watch.misfit + jnp.sum(innovation.whitened**2)
-    number = watch.number + jnp.sum(used, dtype=misfit.dtype)
+    counts = used & learning.moves
+    misfit = watch.misfit + jnp.sum(jnp.where(counts, innovation.whitened, 0) ** 2)
+    number = watch.number + jnp.sum(counts, dtype=misfit.dtype)
     # A change is as likely as it is said to be, and what would have to be larger is none.
     size = score / (information + 1)
     square = jnp.where(jnp.abs(size) < _LARGEST, score * size, 0)
     # What is wrong with the model otherwise looks like changes, too.
     left = (misfit[None] - square) / jnp.maximum(number - 1, 1)[None]
     square = square / jnp.maximum(left, 1)
-    ages = watch.ages + length
+    ages = watch.ages + learning.length
     which, slot = jnp.unravel_index(jnp.argmax(square), square.shape)
     unit = jnp.linalg.norm(watch.directions[which])
     suspected = Suspected(
@@ -287,7 +293,7 @@ def _one(
     suspected = None
     if watch is not None and learning is not None:
         both = (motion.slope, slope)
-        watch, suspected = _watched(watch, learning.length, *both, used, correction, innovation)
+        watch, suspected = _watched(watch, learning, *both, used, correction, innovation)
     # An outlier is as likely as one at the gate, so that nothing is gained by leaving more out.
     outside = -0.5 * gate**2 - jnp.log(expected) - 0.5 * math.log(2 * math.pi)
     likelihood = jnp.sum(jnp.where(event.there & ~used, outside, 0))

@@ -684,6 +684,11 @@ def track(
     say(f"filter over {len(plan.times)} times ...")
     course = watched_through(tracked, begun, plan, settings)
     found = course.rows
+    if not np.any(found.used):
+        raise InputError(
+            f"no measurement of '{run.name}' counts, as each is more than {gate:g} deviations off: "
+            "compare the model with the run first (giajax fit), or allow more (--gate)"
+        )
     states = as_states(tracked, found.state)
     if not np.all(np.isfinite(states.mean)):
         raise InputError(
@@ -786,8 +791,8 @@ def _joined(parts: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
-LATELY = 10.0
-"""For so long before a measurement (s) the arm is looked at, whether it moves."""
+LATELY, FEW = 10.0, 4
+"""So long before a measurement (s) the arm is looked at, whether it moves, or so many values."""
 _MOVES = 2.0  # times the noise, by which an arm that moves is seen to
 
 
@@ -814,7 +819,9 @@ def moving(times: np.ndarray, values: np.ndarray, noise: np.ndarray) -> np.ndarr
         sums = np.cumsum(np.stack([np.ones_like(middle), middle, middle**2]), axis=1)
         sums = np.pad(sums, ((0, 0), (1, 0)))
         last = np.searchsorted(there[2:], np.arange(len(times)), side="right")
-        count, mean, square = sums[:, last] - sums[:, np.searchsorted(there[2:], begins)]
+        # Of what is seldom measured, the last few.
+        first = np.minimum(np.searchsorted(there[2:], begins), np.maximum(last - FEW, 0))
+        count, mean, square = sums[:, last] - sums[:, first]
         count = np.maximum(count, 1)
         found |= square / count - (mean / count) ** 2 > _MOVES**2
     return found
@@ -958,7 +965,7 @@ def linearised_again(
 ) -> tuple[Gaussian, Filtered]:
     """Smoothed and filtered states, linearised about the smoothed ones until parameters stay.
 
-    A round in which the measurements become less likely does not count, and is the last one.
+    A round in which the measurements become clearly less likely does not count, and is the last.
     """
     smooth = smoothed_through(rows)
     if settings.watch is None:

@@ -61,6 +61,7 @@ class _Clone(NamedTuple):
 
 
 _WINDOW = 60.0  # s, in which a parameter that is estimated may have changed
+_BEFORE = 20  # rows before those that are looked at, of which some are of every channel
 _FIRST_PAUSE = 10.0  # s, before what is kept is linearised once more; then twice as long
 
 
@@ -73,8 +74,7 @@ class DelayedFilter(Generic[Kept]):
 
     Where states are watched, a change of one is looked for, too; from when it happened the filter
     goes on with that state as uncertain as at the start. And what is kept is linearised once more,
-    about the smoothed states, after 10 s, 30 s, 70 s and so on. Whether the arm moves at a
-    measurement is decided once, by what had come until then.
+    about the smoothed states, after 10 s, 30 s, 70 s and so on.
 
     Arguments:
         system: what is tracked.
@@ -85,6 +85,8 @@ class DelayedFilter(Generic[Kept]):
         history: how long states are kept, s; what comes later than that is lost.
         gate: deviations; a measurement that is farther off does not count.
         estimated: which states measurements change; all by default.
+        corners: gives the times within an interval at which what is known of it bends; none by
+            default.
         watched: directions of the states that may change, each as long as the deviation of such a
             change, shape (change, state); None: none does.
     """
@@ -100,17 +102,20 @@ class DelayedFilter(Generic[Kept]):
         history: float = 5.0,
         gate: float = GATE,
         estimated: Array | None = None,
+        corners: Callable[[float, float], list[float]] | None = None,
         watched: Array | None = None,
     ) -> None:
         self.system = system
         self.lost = 0
         self.changes: list[tuple[float, float, Suspected]] = []
         self._interval = interval
+        self._corners = corners or (lambda begin, end: [])
         self._longest, self._history = longest, history
         self._gate = jnp.asarray(gate, float)
         states = start.mean.shape[0]
         self._estimated = jnp.ones(states, bool) if estimated is None else estimated
         self._nothing = np.full(system.noise.shape[0], np.nan)
+        self._noise = np.asarray(system.noise)
         self._watched = watched
         # All rows that are kept, in the order of their times.
         self._times: list[float] = []
@@ -193,11 +198,9 @@ class DelayedFilter(Generic[Kept]):
     def _moves(self, time: float) -> bool:
         """Whether what is tracked has moved lately, of a time at which something was measured."""
         end = bisect.bisect_right(self._times, time)
-        begin = max(bisect.bisect_left(self._times, time - LATELY) - 2, 0)
-        if end - begin < 3:
-            return False
-        some = (np.array(self._times[begin:end]), np.stack(self._rows[begin:end]))
-        return bool(moving(*some, np.asarray(self.system.noise))[-1])
+        begin = max(min(bisect.bisect_left(self._times, time - LATELY), end) - _BEFORE, 0)
+        some = (np.array(self._times[begin:end]), np.array(self._rows[begin:end]))
+        return bool(moving(*some, self._noise)[-1])
 
     def _go_on(self, time: float, values: np.ndarray) -> None:
         begin = self._clones[-1].time
@@ -254,8 +257,12 @@ class DelayedFilter(Generic[Kept]):
             self._clones[index + 1] = clone._replace(followed=followed)
 
     def _ends(self, begin: float, end: float) -> list[float]:
-        count = max(int(np.ceil((end - begin) / self._longest - 1e-9)), 1)
-        return [*np.linspace(begin, end, count + 1)[1:-1].tolist(), end]
+        ends = []
+        for corner in [*self._corners(begin, end), end]:
+            count = max(int(np.ceil((corner - begin) / self._longest - 1e-9)), 1)
+            ends += [*np.linspace(begin, corner, count + 1)[1:-1].tolist(), corner]
+            begin = corner
+        return ends
 
     def _event(self, begin: float, end: float, values: np.ndarray) -> Events:
         there = np.isfinite(values)
@@ -284,7 +291,7 @@ class DelayedFilter(Generic[Kept]):
         old = self.time - self._history
         del self._clones[: max(bisect.bisect_right(self._clones, old, key=_time) - 1, 0)]
         # Of these the oldest events ask whether anything moved before.
-        gone = bisect.bisect_left(self._times, self._clones[0].time - LATELY) - 2
+        gone = bisect.bisect_left(self._times, self._clones[0].time - LATELY) - _BEFORE
         del self._times[: max(gone, 0)], self._rows[: max(gone, 0)]
 
 
@@ -416,6 +423,7 @@ class Tracker:
             history=history,
             gate=gate,
             estimated=estimated,
+            corners=self._corners,
             watched=watched,
         )
 
@@ -518,14 +526,30 @@ class Tracker:
         given: Any = [np.asarray(each, float) for each in known]
         return Held(*given)
 
+    def _corners(self, begin: float, end: float) -> list[float]:
+        """Knots within an interval at which the command jumps, or bends."""
+        first = bisect.bisect_right(self._knots, begin + _APART)
+        last = bisect.bisect_left(self._knots, end - _APART)
+        found = []
+        for place in range(max(first, 1), last):
+            rows, knots = self._commands[place - 1 : place + 2], self._knots[place - 1 : place + 2]
+            slopes = np.diff(rows, axis=0) / np.diff(knots)[:, None]
+            bends = slopes[0] if self._stays else slopes[-1] - slopes[0]
+            if np.any(np.abs(bends) > 1e-9):
+                found.append(knots[1])
+        return found
+
     def _command(self, time: float) -> np.ndarray:
-        """That of a time, between two knots on a line or held; beyond them that of the next one."""
+        """That of a time, between two knots on a line or held; beyond them the nearest."""
         place = bisect.bisect_right(self._knots, time)
         if place in (0, len(self._knots)):
             return self._commands[min(place, len(self._knots) - 1)]
         before, after = self._knots[place - 1 : place + 1]
         share = 0.0 if self._stays else (time - before) / (after - before)
         return (1 - share) * self._commands[place - 1] + share * self._commands[place]
+
+
+_APART = 1e-6  # s, of two times that are not one
 
 
 def _row(name: str, values: Any, count: int) -> np.ndarray:

@@ -356,8 +356,12 @@ def unseen(
     noise = noise_of(run, names, result)
     tracked, plan, start, settings = begun_at(stated, _first_rows(run), noise, given, GATE)
     every = jnp.ones_like(settings.estimated)
+    events = plan.events
+    if events.learning is not None:
+        moves = jnp.ones_like(events.learning.moves)
+        events = events._replace(learning=events.learning._replace(moves=moves))
     rows = followed_through(
-        tracked, start, plan.events, settings._replace(estimated=every, blind=jnp.asarray(True))
+        tracked, start, events, settings._replace(estimated=every, blind=jnp.asarray(True))
     )
     before = np.sqrt(np.sum(np.asarray(start.root) ** 2, axis=1))
     after = np.sqrt(np.sum(np.asarray(rows.state.root[-1]) ** 2, axis=1))
