@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import jax
 import numpy as np
@@ -18,6 +18,7 @@ from ..runtime.plugins import check_sources, hint
 from ..runtime.programs import program
 from ..runtime.records import from_plain, json_text
 from ..runtime.text import InputError, ShownAsTable
+from ..schema import ARM
 from ._derived import in_column_units
 from ._estimates import Finding
 from ._losses import AbstractLoss, loss_of
@@ -398,12 +399,12 @@ _STORED = dataclasses.make_dataclass(
 def arm_model_of(model: AbstractModel | FitResult) -> ArmModel:
     """The model of an arm, fitted or not (`InputError`: it is another model)."""
     stated = model.model if isinstance(model, FitResult) else model
-    if not isinstance(stated, ArmModel):
+    if stated.kind != ARM.name:
         raise InputError(
             f"the model is that of a {stated.kind}, and this is for arms: give a fit of one, or "
             "its file"
         )
-    return stated
+    return cast("ArmModel", stated)
 
 
 def load_result(path: str | Path) -> FitResult:
