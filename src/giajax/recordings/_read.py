@@ -200,8 +200,8 @@ class LineReader:
         rename: Mapping[str, str] | None = None,
         definition: Definition | None = None,
     ) -> None:
-        self._path, self._rename, self._definition = path, rename, definition
-        self._sidecar = read_sidecar(path)
+        self._path, self._rename = path, rename
+        self._definition = _with_definition(read_sidecar(path), definition)
 
     def check_names(self, header: bytes) -> None:
         """Raise `InputError` unless a line names columns of a run over time."""
@@ -220,8 +220,7 @@ class LineReader:
             InputError: as `read_run`.
         """
         table = table_of_lines(data, self._path, self._rename, first_row)
-        definition = _with_definition(self._sidecar, self._definition)
-        return run_of(table, self._path, definition, partial=partial)
+        return run_of(table, self._path, self._definition, partial=partial)
 
 
 def _with_definition(sidecar: Definition, definition: Definition | None) -> Definition:

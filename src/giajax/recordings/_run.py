@@ -168,11 +168,7 @@ def _check_text(array: npt.NDArray[Any], channel: Channel, naming: Naming) -> No
 
 
 def _check_numbers(
-    array: npt.NDArray[Any],
-    channel: Channel,
-    naming: Naming,
-    *,
-    empty: Empty,
+    array: npt.NDArray[Any], channel: Channel, naming: Naming, *, empty: Empty
 ) -> None:
     missing, called = np.isnan(array), f"{naming.source}: {naming.of(channel)}"
     if missing.all() and empty != "all":

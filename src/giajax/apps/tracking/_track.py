@@ -239,6 +239,11 @@ def model_and_unknown(
     return arm_model_of(model.model_of(run) if isinstance(model, FitResult) else model), unknown
 
 
+def has_own_wind(model: ArmModel) -> bool:
+    """Whether the arm states a wind, beside that of a run."""
+    return model.arm.air.wind is not None or model.arm.air.wind_field is not None
+
+
 def delays_of(model: ArmModel, channels: Sequence[str]) -> dict[str, float]:
     """How late each channel shows the arm, s."""
     sensors, found = model.sensors, {}
@@ -583,8 +588,7 @@ def begun_at(
     """
     names = list(noise)
     known = run.definition.section(WindSection).velocity_m_per_s is not None or bool(run.winds)
-    known = known or model.arm.air.wind is not None or model.arm.air.wind_field is not None
-    if unknown.air is not None and known:
+    if unknown.air is not None and (known or has_own_wind(model)):
         raise InputError(
             f"the wind of '{run.name}' is known, by its columns, [wind] or the arm: leave that "
             "out, or do not track one"
@@ -621,7 +625,8 @@ def begun_at(
 
     def motion(start: Gaussian, held: Held) -> Motion:
         event = one._replace(held=jax.tree.map(lambda leaf: leaf[None], held))
-        found: Motion = _row(followed_through(tracked, start, event, settings).motion, 0)
+        _, rows = followed_through(tracked, start, event, settings)
+        found: Motion = _row(rows.motion, 0)
         return found
 
     first: Any = _row(plan.events.held, 0)
@@ -699,7 +704,7 @@ def track(
     every = settings._replace(estimated=jnp.ones_like(settings.estimated))
     if len(unknown.considered) or course.changes:
         # By the whole run, what is considered on the way is estimated.
-        found = followed_through(tracked, begun, course.events, every)
+        _, found = followed_through(tracked, begun, course.events, every)
     smooth, _ = linearised_again(tracked, begun, course.events, every, found)
     after = as_states(tracked, smooth)
     if not np.all(np.isfinite(after.mean)):
@@ -756,8 +761,8 @@ def chosen(
     events = _first(plan.events, _DECIDES)
     best, most = begins[0], -np.inf
     for start in begins if len(begins) > 1 else ():
-        found = followed_through(tracked, start, events, settings)
-        likely = float(jnp.sum(found.innovation.log_likelihood))
+        _, found = followed_through(tracked, start, events, settings)
+        likely = log_likelihood_of(found)
         if likely > most:
             best, most = start, likely
     return best
@@ -853,19 +858,9 @@ def followed_through(
     events: Events,
     settings: Settings,
     about: tuple[Array, Array] | None = None,
-) -> Filtered:
-    """The filter over all events, whether or not something has changed."""
-    followed = start if isinstance(start, Followed) else begun_with(system, start, settings.watch)
-    return _followed_on(system, followed, events, settings, about)[1]
-
-
-def _followed_on(
-    system: System,
-    followed: Followed,
-    events: Events,
-    settings: Settings,
-    about: tuple[Array, Array] | None = None,
 ) -> tuple[Followed, Filtered]:
+    """The filter after all events, and after each, whether or not something has changed."""
+    followed = start if isinstance(start, Followed) else begun_with(system, start, settings.watch)
     parts = []
     for begin, size in _calls(len(events.values)):
         followed, found = _one_call(system, followed, events, settings, begin, size, about)
@@ -935,7 +930,7 @@ def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: 
         known = _row(before, -1)
         again = Followed(known.state, known.left_out, watch)
         between = jax.tree.map(lambda leaf, a=since + 1, b=end + 1: leaf[a:b], events)
-        followed, after = _followed_on(tracked, again, between, settings)
+        followed, after = followed_through(tracked, again, between, settings)
         latest, begin = [before, after], end + 1
     return Course(_joined(parts), min(seconds), tuple(changes), events)
 
@@ -975,8 +970,8 @@ def linearised_again(
         mean = smooth.mean
         # Before the first interval there is no smoothed state.
         about = (jnp.concatenate([jnp.full_like(mean[:1], jnp.nan), mean[:-1]]), mean)
-        again = followed_through(system, start, events, settings, about)
-        if not _likelihood(again) > _likelihood(rows) - _WORSE:
+        _, again = followed_through(system, start, events, settings, about)
+        if not log_likelihood_of(again) > log_likelihood_of(rows) - _WORSE:
             break
         better = smoothed_through(again)
         if not np.all(np.isfinite(better.mean)):
@@ -988,7 +983,8 @@ def linearised_again(
     return smooth, rows
 
 
-def _likelihood(rows: Filtered) -> float:
+def log_likelihood_of(rows: Filtered) -> float:
+    """Of all measurements together."""
     return float(jnp.sum(rows.innovation.log_likelihood))
 
 

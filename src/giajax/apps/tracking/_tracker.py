@@ -40,6 +40,7 @@ from ._track import (
     delays_of,
     estimated_states,
     followed_through,
+    has_own_wind,
     linearised_again,
     moving,
     since_when,
@@ -135,11 +136,6 @@ class DelayedFilter(Generic[Kept]):
     def state(self) -> Gaussian:
         """At that time."""
         return self._clones[-1].followed.state
-
-    @property
-    def last(self) -> Filtered | None:
-        """What the last measurement was beside."""
-        return self._last
 
     def measure(self, time: float, values: Any) -> Filtered | None:
         """Take measurements of one time (s), SI, NaN of what was not measured.
@@ -247,7 +243,7 @@ class DelayedFilter(Generic[Kept]):
         begun = self._clones[0].followed
         events: Events = _stacked([clone.event for clone in kept])
         settings = Settings(self._estimated, self._gate, jnp.asarray(False), begun.watch)
-        rows = followed_through(self.system, begun, events, settings)
+        _, rows = followed_through(self.system, begun, events, settings)
         _, rows = linearised_again(self.system, begun, events, settings, rows)
         mean, root = np.asarray(rows.state.mean), np.asarray(rows.state.root)
         left_out = np.asarray(rows.left_out)
@@ -388,8 +384,7 @@ class Tracker:
             rest if angles is None else _row("angles", angles, count),
             rest if rates is None else _row("rates", rates, count),
         )
-        own = stated.arm.air.wind is not None or stated.arm.air.wind_field is not None
-        if given.air is not None and (wind is not None or own):
+        if given.air is not None and (wind is not None or has_own_wind(stated)):
             raise InputError(
                 "the wind of the arm is known: leave that out, or do not track one (Unknown.air)"
             )

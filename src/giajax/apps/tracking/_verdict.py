@@ -23,6 +23,7 @@ from ._track import (
     Unknown,
     begun_at,
     followed_through,
+    log_likelihood_of,
     model_and_unknown,
     noise_of,
 )
@@ -169,10 +170,10 @@ def judge(
         try:
             given = (other, short, noise or found.noise, unknown, found.gate, same)
             tracked, plan, start, settings = begun_at(*given)
-            rows = followed_through(tracked, start, plan.events, settings)
+            _, rows = followed_through(tracked, start, plan.events, settings)
         except InputError:
             return -np.inf
-        total = float(np.sum(np.asarray(rows.innovation.log_likelihood)))
+        total = log_likelihood_of(rows)
         return total if np.isfinite(total) else -np.inf
 
     base = likely(stated, found.unknown) if look and not sound else 0.0
@@ -360,7 +361,7 @@ def unseen(
     if events.learning is not None:
         moves = jnp.ones_like(events.learning.moves)
         events = events._replace(learning=events.learning._replace(moves=moves))
-    rows = followed_through(
+    _, rows = followed_through(
         tracked, start, events, settings._replace(estimated=every, blind=jnp.asarray(True))
     )
     before = np.sqrt(np.sum(np.asarray(start.root) ** 2, axis=1))
