@@ -28,16 +28,24 @@ from matplotlib.figure import Figure
 from scipy.optimize import root
 
 from ..fitting import FitResult, arm_model_of
-from ..mechanics.arm import Arm, acceleration, mass_matrix, tip_position
-from ..models import AbstractModel, ArmModel
+from ..mechanics.arm import Arm, acceleration
+from ..models import AbstractModel
 from ..report import BLUE, GREEN, GREY, VERMILLION, new_figure, plain
 from ..runtime.arrays import Array, Float
 from ..runtime.parallel import Batch, run_on_all_cores
 from ..runtime.programs import program
 from ..runtime.text import InputError
-from ..schema.parameters import declared, elements, replace
-from ..simulation import Signal, constant, followed, simulate
-from .design import draws, known_before
+from ._moves import (
+    DIGITS,
+    Command as Command,
+    Flight,
+    Rest,
+    arms_left_open,
+    reached,
+    rest_at,
+    rest_tips,
+    softer,
+)
 
 
 class Impulses(NamedTuple):
@@ -54,7 +62,7 @@ class Impulses(NamedTuple):
     def after(self, other: "Impulses") -> "Impulses":
         """Both, one after the other."""
         times = (self.times[:, None] + other.times).ravel()
-        together, place = np.unique(times.round(_DIGITS), return_inverse=True)
+        together, place = np.unique(times.round(DIGITS), return_inverse=True)
         sizes = (self.sizes[:, None] * other.sizes).ravel()
         return Impulses(together, np.bincount(place.ravel(), sizes))
 
@@ -64,7 +72,6 @@ class Impulses(NamedTuple):
         return float(abs(np.sum(self.sizes * np.exp(rate * (self.times[-1] - self.times)))))
 
 
-_DIGITS = 9  # of times, s
 NONE = Impulses(np.zeros(1), np.ones(1))
 
 
@@ -175,58 +182,6 @@ SHAPERS = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Command:
-    """Commanded angles over time; straight between the rows, or held.
-
-    The arm rests by the first row when it begins.
-
-    Attributes:
-        times: of the rows, increasing, s, shape (row,).
-        angles: rad, shape (row, joint).
-        held: whether each row is held until the next.
-    """
-
-    times: Float[np.ndarray, " row"]
-    angles: Float[np.ndarray, "row joint"]
-    held: bool = False
-
-    def __post_init__(self) -> None:
-        if self.times.ndim != 1 or self.angles.shape[:1] != self.times.shape or self.times[0] != 0:
-            raise InputError(
-                f"a command has times of shape {self.times.shape} and angles of shape "
-                f"{self.angles.shape}: give a row of angles for each time, the first one at 0 s"
-            )
-
-    def at(self, times: np.ndarray) -> np.ndarray:
-        """Angles at times, rad; the first and the last ones are held outside."""
-        if self.held:
-            rows = np.searchsorted(self.times, times + 10.0**-_DIGITS, side="right") - 1
-            return np.asarray(self.angles[np.maximum(rows, 0)])
-        return np.stack([np.interp(times, self.times, row) for row in self.angles.T], axis=1)
-
-    def shaped(self, impulses: Impulses) -> "Command":
-        """Convolved with impulses."""
-        times = np.unique((self.times[:, None] + impulses.times).ravel().round(_DIGITS))
-        parts = zip(*impulses, strict=True)
-        return Command(times, sum(size * self.at(times - late) for late, size in parts), self.held)
-
-    def signal(self, rows: int) -> Signal:
-        """As simulations follow it, with so many rows: programs depend on their number."""
-        slopes = np.zeros_like(self.angles)
-        if not self.held:
-            slopes[:-1] = np.diff(self.angles, axis=0) / np.diff(self.times)[:, None]
-        more = rows - len(self.times)
-        last = self.times[-1] + np.arange(1, more + 1)
-        parts = (
-            np.concatenate([self.times, last]),
-            np.concatenate([self.angles, np.repeat(self.angles[-1:], more, axis=0)]),
-            np.concatenate([slopes, np.zeros((more, self.angles.shape[1]))]),
-            np.concatenate([np.full(len(self.times), np.inf), np.zeros(more)]),
-        )
-        return Signal(*(jnp.asarray(part, dtype=jnp.result_type(float)) for part in parts))
-
-
-@dataclasses.dataclass(frozen=True)
 class Mode:
     """A mode of an arm about the pose where a command ends.
 
@@ -239,61 +194,6 @@ class Mode:
     period: float
     damping: float
     swing: float
-
-
-class _About(NamedTuple):
-    """An arm about a pose in which it rests."""
-
-    angles: Array
-    off: Array
-    by_angles: Array
-    by_command: Array
-    mass: Array
-    moves: Array
-
-
-_NEWTON = 20
-
-
-def _resting(arm: Arm, command: Array) -> tuple[Array, Array]:
-    """Angles at which an arm rests (rad), and how far off they may be."""
-    still = jnp.zeros_like(command)
-
-    def better(_: Any, carried: tuple[Array, Array]) -> tuple[Array, Array]:
-        angles, _ = carried
-        slope = jax.jacfwd(lambda q: acceleration(arm, q, still, command))(angles)
-        step = jnp.linalg.solve(slope, acceleration(arm, angles, still, command))
-        return angles - step, jnp.max(jnp.abs(step))
-
-    begun = (command, jnp.asarray(jnp.inf, command.dtype))
-    return jax.lax.fori_loop(0, _NEWTON, better, begun)
-
-
-@program
-def _about(arm: Arm, commanded: Array) -> _About:
-    command = _reached(arm, commanded)
-    angles, off = _resting(arm, command)
-    still = jnp.zeros_like(angles)
-    by_angles, by_command = jax.jacfwd(
-        lambda q, u: acceleration(arm, q, still, _reached(arm, u)), argnums=(0, 1)
-    )(angles, commanded)
-    moves = jax.jacfwd(lambda q: tip_position(arm, q))(angles)
-    return _About(angles, off, by_angles, by_command, mass_matrix(arm, angles), moves)
-
-
-@program
-def _rest_tips(arm: Arm, commanded: Array) -> Array:
-    """Where the tip is at rest by each row of commanded angles, m."""
-
-    def at(row: Array) -> Array:
-        return tip_position(arm, _resting(arm, _reached(arm, row))[0])
-
-    return jax.lax.map(at, commanded)
-
-
-def _reached(arm: Arm, commanded: Array) -> Array:
-    """What the drives make of a command in the end, rad."""
-    return followed(constant(commanded), arm.joints)(jnp.zeros((), commanded.dtype))
 
 
 @program
@@ -318,22 +218,11 @@ def modes_after(arm: Arm, command: Command) -> list[Mode]:
         InputError: the arm has no stable rest there.
     """
     last = jnp.asarray(command.angles[-1], dtype=jnp.result_type(float))
-    parts: Any = [np.asarray(part) for part in _about(arm, last)]
-    about: Any = _About(*parts)
-    if not (np.all(np.isfinite(about.angles)) and about.off < 1e-6):
+    about = Rest(*map(np.asarray, rest_at(arm, last)))
+    if not about.known:
         raise InputError("no rest of the arm is found where the command ends: end it elsewhere")
-    reached = _reached(arm, last)
-    stiffness = -about.mass @ about.by_angles
-    root_of_mass = np.linalg.cholesky(about.mass)
-    half = np.linalg.solve(root_of_mass, (stiffness + stiffness.T) / 2)
-    squares, turned = np.linalg.eigh(np.linalg.solve(root_of_mass, half.T))
-    if squares[0] <= 0:
-        raise InputError(
-            "the arm is not stable where the command ends: end it elsewhere, or correct stiffness "
-            "and gravity"
-        )
-    frequencies = np.sqrt(squares)
-    shapes = np.linalg.solve(root_of_mass.T, turned)
+    held = reached(arm, last)
+    frequencies, shapes = about.modes()
     # Of the pose at rest by the command, in each mode.
     static = -shapes.T @ about.mass @ np.linalg.solve(about.by_angles, about.by_command)
     reach = np.linalg.norm(about.moves @ shapes, axis=0)
@@ -343,7 +232,7 @@ def modes_after(arm: Arm, command: Command) -> list[Mode]:
     for frequency, shape, gain, far in zip(frequencies, shapes.T, static, reach, strict=True):
         # A drive that lags passes on less of what is quick.
         size = _excited(command, gain, frequency) / np.hypot(1, frequency * lag)
-        damping = _damping(arm, about, reached, frequency, shape, max(size / 2, 1e-3 / far))
+        damping = _damping(arm, about, held, frequency, shape, max(size / 2, 1e-3 / far))
         found.append(Mode(float(2 * np.pi / frequency), damping, float(size * far)))
     return sorted(found, key=lambda mode: -mode.swing)
 
@@ -376,42 +265,19 @@ def _damping(
     return float(np.mean(power) / (frequency * (size * frequency) ** 2))
 
 
-class _Case(NamedTuple):
-    """What is simulated: an arm, its command, samples (s), the first ones until it ends, and the
-    tolerance.
-    """
-
-    arm: Arm
-    command: Signal
-    times: Array
-    tolerance: Array
-
-
 _UNTIL, _AFTER = 150, 360  # samples of a run until the command ends, and after it
 _TUNING, _FINAL = 1e-4, 1e-5  # tolerances: of a millimetre, and of a tenth of that
 
 
 @program
-def _moved(cases: _Case) -> tuple[Array, Array]:
+def _moved(flights: Flight) -> tuple[Array, Array]:
     """Distance of the tip from where it comes to rest, m, and whether it was simulated."""
-    return jax.lax.map(_moved_one, cases)
+    return jax.lax.map(_moved_one, flights)
 
 
-def _moved_one(case: _Case) -> tuple[Array, Array]:
-    exact: Any = {"rtol": case.tolerance, "atol": case.tolerance}
-    first = followed(case.command, case.arm.joints)(case.times[0])
-    begun = _resting(case.arm, first)[0]
-    exact |= {"initial": (begun, jnp.zeros_like(begun))}
-    motion = simulate(case.arm, case.command, case.times, throw=False, **exact)
-    tips = jax.vmap(functools.partial(tip_position, case.arm))(motion.angles)
-    last = followed(case.command, case.arm.joints)(case.times[-1])
-    angles, off = _resting(case.arm, last)
-    # What remembers comes to rest elsewhere: about there it swings in the end.
-    known = (off < 1e-6) & (case.arm.further_laws.rows == 0)
-    rest = jnp.where(
-        known, tip_position(case.arm, angles), jnp.mean(tips[-(_AFTER // 3) :], axis=0)
-    )
-    return jnp.linalg.norm(tips - rest[None], axis=1), motion.successful
+def _moved_one(flight: Flight) -> tuple[Array, Array]:
+    flown = flight.flown(_AFTER // 3)
+    return jnp.linalg.norm(flown.tips - flown.rest[None], axis=1), flown.successful
 
 
 @dataclasses.dataclass(frozen=True)
@@ -525,14 +391,14 @@ def shape_command(
             "the arm has muscles, whose stiffness changes with their pressures and which may hold "
             "a joint at several angles: shape the command of an arm with springs"
         )
-    tips = np.asarray(_rest_tips(arm, jnp.asarray(command.angles, dtype=jnp.result_type(float))))
+    tips = np.asarray(rest_tips(arm, jnp.asarray(command.angles, dtype=jnp.result_type(float))))
     travel = float(np.max(np.linalg.norm(tips - tips[-1], axis=1)))
     if not travel > 1e-6:
         raise InputError("the command does not move the tip: give one that does")
     modes = modes_after(arm, command)
     worth = _chosen(modes, travel)
-    wrong = [_softer(stated, 1 - _WRONG).arm, _softer(stated, 1 + _WRONG).arm]
-    drawn = [] if result is None else [each.arm for each in _draws(stated, result, draw_count)]
+    wrong = [softer(stated, 1 - _WRONG).arm, softer(stated, 1 + _WRONG).arm]
+    drawn = arms_left_open(stated, result, draw_count)
     study = _Study(command, modes[0], worth[1:], [arm, *wrong], drawn, travel)
     rows = [study.row("unshaped", None)]
     notes = []
@@ -560,29 +426,6 @@ def _chosen(modes: Sequence[Mode], travel: float) -> list[Mode]:
     left = [mode for mode in modes[1:] if mode.swing > _WORTH * travel]
     more = [m for m in left if m.swing * before.left(m.period, 0.0) > _WORTH * travel]
     return [first, *more[: _MOST_MODES - 1]]
-
-
-_STIFFNESSES = ("joints.pitch_stiffness", "joints.yaw_stiffness")
-
-
-def _softer(model: ArmModel, factor: float) -> ArmModel:
-    """The model with another stiffness of all springs."""
-    values = {path: getattr(model.arm.joints, path.partition(".")[2]) for path in _STIFFNESSES}
-    return replace(model, {path: value * factor for path, value in values.items()})
-
-
-def _draws(model: ArmModel, result: FitResult, count: int) -> list[ArmModel]:
-    """The model with values that the fit leaves open."""
-    of_arm = declared(model.arm)
-    shared = [path for path in result.free if path.partition("[")[0] in of_arm]
-    parts = [part for path in shared for part in elements(model, path)]
-    if not parts or count < 1:
-        return []
-    values = np.asarray([float(part.value(model)) for part in parts])
-    errors, correlation = known_before(result, [part.path for part in parts])
-    found = draws(parts, values, errors, correlation, count + 1)[1:]
-    paths = [part.path for part in parts]
-    return [replace(model, dict(zip(paths, row, strict=True))) for row in found]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -667,7 +510,7 @@ class _Study:
         longest = 3 * max(mode.period for mode in (self.mode, *self.further))
         times = np.stack([_samples(each.times[-1], longest) for each in commands])
         cases = [
-            _Case(arm, each.signal(self.rows), jnp.asarray(row), jnp.asarray(tolerance))
+            Flight(arm, each.signal(self.rows), jnp.asarray(row), jnp.asarray(tolerance))
             for each, row in zip(commands, times, strict=True)
             for arm in arms
         ]

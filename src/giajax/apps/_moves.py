@@ -1,0 +1,233 @@
+"""Commands over time, and the poses in which they let an arm rest."""
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..fitting import FitResult
+from ..mechanics.arm import Arm, acceleration, mass_matrix, tip_position
+from ..models import ArmModel
+from ..runtime.arrays import Array, Bool, Float, Scalar
+from ..runtime.programs import program
+from ..runtime.text import InputError
+from ..schema.parameters import declared, elements, replace
+from ..simulation import Signal, constant, followed, simulate
+from .design import draws, known_before
+
+DIGITS = 9
+"""Of times, s."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Command:
+    """Commanded angles over time; straight between the rows, or held.
+
+    The arm rests by the first row when it begins.
+
+    Attributes:
+        times: of the rows, increasing, s, shape (row,).
+        angles: rad, shape (row, joint).
+        held: whether each row is held until the next.
+    """
+
+    times: Float[np.ndarray, " row"]
+    angles: Float[np.ndarray, "row joint"]
+    held: bool = False
+
+    def __post_init__(self) -> None:
+        if self.times.ndim != 1 or self.angles.shape[:1] != self.times.shape or self.times[0] != 0:
+            raise InputError(
+                f"a command has times of shape {self.times.shape} and angles of shape "
+                f"{self.angles.shape}: give a row of angles for each time, the first one at 0 s"
+            )
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """Angles at times, rad; the first and the last ones are held outside."""
+        if self.held:
+            rows = np.searchsorted(self.times, times + 10.0**-DIGITS, side="right") - 1
+            return np.asarray(self.angles[np.maximum(rows, 0)])
+        return np.stack([np.interp(times, self.times, row) for row in self.angles.T], axis=1)
+
+    def shaped(self, impulses: tuple[np.ndarray, np.ndarray]) -> "Command":
+        """Convolved with impulses: their times (s) and sizes."""
+        times = np.unique((self.times[:, None] + impulses.times).ravel().round(DIGITS))
+        parts = zip(*impulses, strict=True)
+        return Command(times, sum(size * self.at(times - late) for late, size in parts), self.held)
+
+    def signal(self, rows: int) -> Signal:
+        """As simulations follow it, with so many rows: programs depend on their number."""
+        slopes = np.zeros_like(self.angles)
+        if not self.held:
+            slopes[:-1] = np.diff(self.angles, axis=0) / np.diff(self.times)[:, None]
+        more = rows - len(self.times)
+        last = self.times[-1] + np.arange(1, more + 1)
+        parts = (
+            np.concatenate([self.times, last]),
+            np.concatenate([self.angles, np.repeat(self.angles[-1:], more, axis=0)]),
+            np.concatenate([slopes, np.zeros((more, self.angles.shape[1]))]),
+            np.concatenate([np.full(len(self.times), np.inf), np.zeros(more)]),
+        )
+        return Signal(*(jnp.asarray(part, dtype=jnp.result_type(float)) for part in parts))
+
+
+class Rest(NamedTuple):
+    """An arm about a pose in which it rests.
+
+    Attributes:
+        angles: rad.
+        off: how far off they may be, rad.
+        by_angles, by_command: slopes of the accelerations, 1/s^2.
+        mass: its mass matrix, kg m^2.
+        moves: slope of the place of the tip by angles, m/rad.
+    """
+
+    angles: Float[Array, " joint"]
+    off: Float[Array, ""]
+    by_angles: Float[Array, "joint joint"]
+    by_command: Float[Array, "joint joint"]
+    mass: Float[Array, "joint joint"]
+    moves: Float[Array, "3 joint"]
+
+    @property
+    def known(self) -> bool:
+        """Whether it was found."""
+        return bool(np.all(np.isfinite(self.angles)) and self.off < CLOSE)
+
+    def modes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Frequencies of swings about it (rad/s), and their shapes by the mass matrix, as columns.
+
+        Raises:
+            InputError: the arm is not stable there.
+        """
+        stiffness = -np.asarray(self.mass @ self.by_angles)
+        root = np.linalg.cholesky(np.asarray(self.mass))
+        half = np.linalg.solve(root, (stiffness + stiffness.T) / 2)
+        squares, turned = np.linalg.eigh(np.linalg.solve(root, half.T))
+        if squares[0] <= 0:
+            raise InputError(
+                "the arm is not stable where the command ends: end it elsewhere, or correct "
+                "stiffness and gravity"
+            )
+        return np.sqrt(squares), np.linalg.solve(root.T, turned)
+
+
+_NEWTON = 20
+CLOSE = 1e-6  # rad, of angles at rest that were found
+
+
+def _pulled(arm: Arm, angles: Array, command: Array) -> Array:
+    """Accelerations of an arm that does not move under what its drives have reached."""
+    pressures = None if arm.pneumatics is None else arm.pneumatics.commanded(command)
+    return acceleration(arm, angles, jnp.zeros_like(angles), command, pressures=pressures)
+
+
+def resting(arm: Arm, command: Array) -> tuple[Array, Array]:
+    """Angles at which an arm rests (rad), and how far off they may be."""
+
+    def better(_: Any, carried: tuple[Array, Array]) -> tuple[Array, Array]:
+        angles, _ = carried
+        slope = jax.jacfwd(lambda q: _pulled(arm, q, command))(angles)
+        step = jnp.linalg.solve(slope, _pulled(arm, angles, command))
+        return angles - step, jnp.max(jnp.abs(step))
+
+    begun = (command, jnp.asarray(jnp.inf, command.dtype))
+    return jax.lax.fori_loop(0, _NEWTON, better, begun)
+
+
+@program
+def rest_at(arm: Arm, commanded: Array) -> Rest:
+    command = reached(arm, commanded)
+    angles, off = resting(arm, command)
+    by_angles, by_command = jax.jacfwd(
+        lambda q, u: _pulled(arm, q, reached(arm, u)), argnums=(0, 1)
+    )(angles, commanded)
+    moves = jax.jacfwd(lambda q: tip_position(arm, q))(angles)
+    return Rest(angles, off, by_angles, by_command, mass_matrix(arm, angles), moves)
+
+
+@program
+def rest_tips(arm: Arm, commanded: Array) -> Array:
+    """Where the tip is at rest by each row of commanded angles, m."""
+
+    def at(row: Array) -> Array:
+        return tip_position(arm, resting(arm, reached(arm, row))[0])
+
+    return jax.lax.map(at, commanded)
+
+
+def reached(arm: Arm, commanded: Array) -> Array:
+    """What the drives make of a command in the end, rad."""
+    return followed(constant(commanded), arm.joints)(jnp.zeros((), commanded.dtype))
+
+
+class Flown(NamedTuple):
+    """A command that an arm has followed.
+
+    Attributes:
+        angles: rad.
+        tips: where the tip was, m.
+        rest: where the tip comes to rest in the end, m.
+        successful: whether it could be simulated.
+    """
+
+    angles: Float[Array, "sample joint"]
+    tips: Float[Array, "sample 3"]
+    rest: Float[Array, "3"]
+    successful: Bool[Array, ""]
+
+
+class Flight(NamedTuple):
+    """An arm that rests and then follows a command in still air.
+
+    Attributes:
+        times: of the samples, s.
+        tolerance: of the motion.
+    """
+
+    arm: Arm
+    command: Signal
+    times: Float[Array, " sample"]
+    tolerance: Scalar
+
+    def flown(self, last: int, **how: Any) -> Flown:
+        """The motion, as `simulate` finds it; what remembers swings about its last samples."""
+        arm, command = self.arm, self.command
+        begun = resting(arm, followed(command, arm.joints)(self.times[0]))[0]
+        exact: Any = {"rtol": self.tolerance, "atol": self.tolerance, "throw": False}
+        exact |= {"initial": (begun, jnp.zeros_like(begun))}
+        motion = simulate(arm, command, self.times, **exact, **how)
+        tips = jax.vmap(functools.partial(tip_position, arm))(motion.angles)
+        angles, off = resting(arm, followed(command, arm.joints)(self.times[-1]))
+        # What remembers comes to rest elsewhere: about there it swings in the end.
+        known = (off < CLOSE) & (arm.further_laws.rows == 0)
+        rest = jnp.where(known, tip_position(arm, angles), jnp.mean(tips[-last:], axis=0))
+        return Flown(motion.angles, tips, rest, motion.successful)
+
+
+_STIFFNESSES = ("joints.pitch_stiffness", "joints.yaw_stiffness")
+
+
+def softer(model: ArmModel, factor: float) -> ArmModel:
+    """The model with another stiffness of all springs."""
+    values = {path: getattr(model.arm.joints, path.partition(".")[2]) for path in _STIFFNESSES}
+    return replace(model, {path: value * factor for path, value in values.items()})
+
+
+def arms_left_open(model: ArmModel, result: FitResult | None, count: int) -> list[Arm]:
+    """Arms with values that the fit leaves open; none without one."""
+    if result is None:
+        return []
+    of_arm = declared(model.arm)
+    shared = [path for path in result.free if path.partition("[")[0] in of_arm]
+    parts = [part for path in shared for part in elements(model, path)]
+    if not parts or count < 1:
+        return []
+    values = np.asarray([float(part.value(model)) for part in parts])
+    errors, correlation = known_before(result, [part.path for part in parts])
+    found = draws(parts, values, errors, correlation, count + 1)[1:]
+    paths = [part.path for part in parts]
+    return [replace(model, dict(zip(paths, row, strict=True))).arm for row in found]
