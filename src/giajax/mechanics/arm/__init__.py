@@ -21,6 +21,7 @@ from ._contact import (
     Pairs as Pairs,
     Stiffness as Stiffness,
     Touch as Touch,
+    clearance as clearance,
     contact_energy as contact_energy,
     contact_stiffness as contact_stiffness,
     flattening as flattening,

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...runtime.arrays import Array, Bool, Float, Int, Scalar, cross, dot, larger, limited, scaled
+from ...runtime.text import InputError
 from ..obstacles import Lines, Nearest, nearest, owners, patches, solids
 from ._arm import Arm
 from ._inverse_dynamics import load_torque
@@ -122,6 +123,29 @@ def flattening(arm: Arm, contact: Contact, here: Pose, pairs: Pairs) -> Float[Ar
     places = jnp.concatenate([begin, found.nearest[None], limited(alike, begin, end), end])
     depth = lines.radius - jnp.min(_look(lines, places.T).distance, axis=1)
     return jnp.where(found.touching, larger(depth, 0), 0)
+
+
+def clearance(arm: Arm, angles: PerJoint) -> Float[Array, "link box"]:
+    """Distances of the skin of links from the boxes of obstacles, m; negative where it is beyond.
+
+    The box of a plane is that half space, and an opening has eight boxes around it. An axis that
+    is within a box is as deep as it is half-way through, which need not be the deepest.
+
+    Arguments:
+        angles: of the joints, rad.
+
+    Raises:
+        InputError: an arm with nothing around it.
+    """
+    if arm.contact is None:
+        raise InputError("the arm has nothing around it to keep clear of: give it obstacles")
+    boxes = len(owners(arm.contact.obstacles))
+    link, box = (grid.ravel() for grid in jnp.indices((arm.count, boxes)))
+    lines, _ = _lines(arm, arm.contact, pose(arm, angles), Pairs(link, box))
+    # To first order the distance does not depend on the nearest place.
+    near = jax.lax.stop_gradient(patches(lines).nearest)
+    distance = _look(lines, near[:, None]).distance[:, 0] - lines.radius
+    return distance.reshape(arm.count, boxes)
 
 
 def in_reach(arm: Arm, contact: Contact, here: Pose) -> Bool[Array, "link box"]:

@@ -1,0 +1,170 @@
+"""A plan as a table, plain data and a picture."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from ...models import arm_scene
+from ...report import BLUE, GREY, VERMILLION, draw_blocks, draw_scene, new_figure, plain
+from ...simulation import at_rest
+from ._plan import Plan, Planned
+
+PLAN_HEADINGS = (
+    "command",
+    "command ends, s",
+    "tip at rest, s",
+    "residual, % of travel",
+    "stiffness -25 %",
+    "stiffness +25 %",
+    "95 % of draws",
+    "clearance, m",
+)
+
+
+def plan_rows(found: Plan) -> list[tuple[Any, ...]]:
+    """A row for the direct and the planned command, as `PLAN_HEADINGS` says; None where there is
+    nothing to say.
+    """
+    return [
+        (
+            row.name,
+            float(row.command.times[-1]),
+            row.settled,
+            *(100 * size / found.travel for size in (row.residual, row.soft, row.stiff)),
+            100 * float(np.percentile(row.drawn, 95)) / found.travel if len(row.drawn) else None,
+            row.clearance,
+        )
+        for row in (found.direct, found.planned)
+    ]
+
+
+def plan_facts(found: Plan) -> dict[str, Any]:
+    """What was found as plain data."""
+    limits = found.limits
+    return {
+        "goal_m": found.goal.tolist(),
+        "travel_m": found.travel,
+        "within": found.within,
+        "slowest_period_s": found.period,
+        "steps": found.steps,
+        "limits": {
+            "angle_deg": float(np.rad2deg(limits.angle)),
+            "rate_deg_per_s": float(np.rad2deg(limits.rate)),
+            "clearance_m": limits.clearance,
+            "pressure_Pa": limits.pressure,
+        },
+        "commands": [
+            {
+                "name": row.name,
+                "ends_s": float(row.command.times[-1]),
+                "settled_s": row.settled,
+                "residual_m": row.residual,
+                "missed_m": row.missed,
+                "residual_soft_m": _finite(row.soft),
+                "residual_stiff_m": _finite(row.stiff),
+                "residual_drawn_m": row.drawn.tolist(),
+                "clearance_m": row.clearance,
+            }
+            for row in (found.direct, found.planned)
+        ],
+        "notes": list(found.notes),
+    }
+
+
+def _finite(size: float) -> float | None:
+    return size if np.isfinite(size) else None
+
+
+def path_columns(found: Plan) -> dict[str, np.ndarray]:
+    """The expected way of the tip by the planned command, and between where 95 % of the draws are;
+    names end in their unit.
+    """
+    row = found.planned
+    columns: dict[str, np.ndarray] = {"time_s": row.times}
+    for k, axis in enumerate("xyz"):
+        columns[f"tip_{axis}_m"] = row.tips[:, k]
+        if len(row.drawn_tips):
+            low, high = np.percentile(row.drawn_tips[:, :, k], (2.5, 97.5), axis=0)
+            columns |= {f"tip_{axis}_low_m": low, f"tip_{axis}_high_m": high}
+    return columns
+
+
+_SHAPES = 6  # of the arm, from the first to the last
+
+
+def plan_figure(found: Plan, title: str = "") -> Figure:
+    """Shapes of the arm on the way, the commands, and how far the tip is from the target."""
+    figure = new_figure(11, 6.4, title or "A planned command")
+    grid = figure.add_gridspec(2, 2)
+    across = np.ptp(found.planned.tips, axis=0)
+    _shapes(figure.add_subplot(grid[:, 0]), found, "xz" if across[2] >= across[1] else "xy")
+    above = figure.add_subplot(grid[0, 1])
+    below = figure.add_subplot(grid[1, 1], sharex=above)
+    row = found.planned
+    used = np.flatnonzero(np.ptp(row.command.angles, axis=0) > 1e-6)
+    for joint in used:
+        colour = colormaps["viridis"](0.9 * joint / max(found.model.arm.count - 1, 1))
+        label = f"joint {joint + 1}" if joint in (used[0], used[-1]) else None
+        angles = np.degrees(row.command.at(row.times)[:, joint])
+        above.plot(row.times, angles, color=colour, lw=0.9, label=label)
+    plain(above, "", "", "planned command (deg)")
+    above.legend(fontsize=8, frameon=False)
+    for each, colour in ((found.direct, GREY), (row, BLUE)):
+        _distance(below, found, each, colour)
+    below.axhline(found.within * found.travel, color=GREY, lw=0.8, ls=":")
+    plain(below, "", "time (s)", "distance of the tip\nfrom the target (m)")
+    below.set_ylim(0, None)
+    below.set_xlim(0, _shown(found))
+    below.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def _shown(found: Plan) -> float:
+    """Time until which it is interesting, s."""
+    ends = [row.settled or float(row.times[-1]) for row in (found.direct, found.planned)]
+    return min(float(found.planned.times[-1]), 1.3 * max(ends))
+
+
+def _distance(panel: Axes, found: Plan, row: Planned, colour: str) -> None:
+    def off(tips: np.ndarray) -> np.ndarray:
+        return np.asarray(np.linalg.norm(tips - found.goal, axis=-1))
+
+    if len(row.drawn_tips):
+        low, high = np.percentile(off(row.drawn_tips), (2.5, 97.5), axis=0)
+        panel.fill_between(row.times, low, high, color=colour, alpha=0.2, lw=0)
+    panel.plot(row.times, off(row.tips), color=colour, label=row.name)
+    panel.plot(row.command.times[-1], off(row.tips)[_end(row)], "o", color=colour, ms=5)
+
+
+def _end(row: Planned) -> int:
+    return int(np.searchsorted(row.times, row.command.times[-1] - 1e-9))
+
+
+def _shapes(panel: Axes, found: Plan, axes: str) -> None:
+    arm, row = found.model.arm, found.planned
+    seen = ["xyz".index(name) for name in axes]
+    until = _end(row)
+    scenes = [
+        arm_scene(at_rest(arm, jnp.asarray(row.angles[sample])))
+        for sample in np.linspace(0, until, _SHAPES).astype(int)
+    ]
+    for place, scene in enumerate(scenes):
+        colour = to_hex(colormaps["viridis"](0.9 * (1 - place / (_SHAPES - 1))))
+        draw_scene(panel, scene, 0, axes=axes, colours={"link": colour, "marker": colour})
+    panel.plot(*row.tips[:, seen].T, color=GREY, lw=0.8, label="tip")
+    panel.plot(*found.goal[seen], "x", color=VERMILLION, ms=8, label="target")
+    points = [line.points[0][:, seen] for scene in scenes for line in scene.lines]
+    every = np.concatenate([*points, row.tips[:, seen]])
+    low, high = np.min(every, axis=0) - 1, np.max(every, axis=0) + 1
+    panel.set_xlim(low[0], high[0])
+    panel.set_ylim(low[1], high[1])
+    draw_blocks(panel, scenes[0].blocks, axes=axes)
+    names = "From the side" if axes == "xz" else "From above"
+    plain(panel, names, f"{axes[0]} (m)", f"{axes[1]} (m)")
+    panel.set_aspect("equal")
+    panel.legend(fontsize=8, frameon=False)
