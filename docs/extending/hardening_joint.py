@@ -46,7 +46,7 @@ def main():
     giajax.write_run("hardening.csv", run.times, run.values, definition=run.definition)
     run = giajax.read_run("hardening.csv")
     first = giajax.fit(giajax.model_for([run]), run, check=False)
-    suspect = giajax.suspects(first, run).promising[0]
+    suspect = giajax.suspects(first, run, parameters_alone=True).promising[0]
     assert "joints.laws.HardeningJoint.loss" in (suspect.path, *suspect.alike)
     free = [*first.config["free"], "joints.laws.HardeningJoint.loss"]
     result = giajax.fit(giajax.model_for([run]), run, free=free)
