@@ -273,16 +273,6 @@ def test_what_was_reached_before_a_failure_is_kept():
     assert np.all(np.diff(reached.astype(int)) <= 0)
 
 
-def test_a_failure_inside_a_compiled_program_raises_too():
-    @eqx.filter_jit
-    def last(arm):
-        return move(arm=arm).angles[-1]
-
-    assert_allclose(last(ARM), move().angles[-1], atol=1e-12)
-    with pytest.raises(RuntimeError, match="became infinite or NaN"):
-        last(broken("air.drag_coefficient", np.nan))
-
-
 REFUSED = {
     "the command drives 2 joints and the arm has 3": {"command": joint_steps(2, {1: 0.5})},
     "the wind has 2 components: give x, y and z": {"wind": [0.1, 0.2]},
