@@ -73,9 +73,10 @@ test-slow: $(VENV)/.installed-dev
 test-long: $(VENV)/.installed-dev
 	$(PYTEST) -m long $(PYTEST_ARGS)
 
-# What is slow is run even where something else failed, and is not run twice.
+# One session: tests are collected once, and the slow tests of a file have the programs and the
+# fixtures of its others.
 test-all: $(VENV)/.installed-dev
-	@$(MAKE) --no-print-directory --keep-going test test-slow
+	$(PYTEST) -m "not long" $(PYTEST_ARGS)
 
 # An environment of its own for each; the static tools are those of the newest versions.
 test-lowest:
