@@ -73,10 +73,9 @@ test-slow: $(VENV)/.installed-dev
 test-long: $(VENV)/.installed-dev
 	$(PYTEST) -m long $(PYTEST_ARGS)
 
-# One session: tests are collected once, and the slow tests of a file have the programs and the
-# fixtures of its others.
+# What is slow is run even where something else failed, and is not run twice.
 test-all: $(VENV)/.installed-dev
-	$(PYTEST) -m "not long" $(PYTEST_ARGS)
+	@$(MAKE) --no-print-directory --keep-going test test-slow
 
 # An environment of its own for each; the static tools are those of the newest versions.
 test-lowest:
