@@ -8,6 +8,7 @@ from . import (
     mission as mission,
     mjcf as mjcf,
     paper as paper,
+    planning as planning,
     shaping as shaping,
     synthetic as synthetic,
     tracking as tracking,

@@ -170,7 +170,7 @@ def test_a_camera_beside_the_tip_is_not_the_tip():
 @pytest.mark.parametrize(
     ("obstacles", "name", "sentence"),
     [
-        ((Box(),), None, "the mission has no opening: add a wall"),
+        ((Box(),), None, "no opening is around the arm: add a wall"),
         ((WALL, WallWithOpening(name="other")), None, "openings in wall, other: say which"),
         ((WALL,), "door", "'door' is no wall with an opening: there is wall"),
     ],

@@ -61,14 +61,12 @@ def opening_of(arm: Arm, name: str | None = None) -> Opening:
     walls = {each.name: each for each in obstacles if isinstance(each, WallWithOpening)}
     if not walls:
         raise InputError(
-            'the mission has no opening: add a wall, as [[arm.obstacles]] with shape = "wall"'
+            'no opening is around the arm: add a wall, as [[arm.obstacles]] with shape = "wall"'
         )
     if name is None and len(walls) > 1:
-        raise InputError(f"there are openings in {', '.join(walls)}: say which by mission.opening")
+        raise InputError(f"there are openings in {', '.join(walls)}: say which")
     if name is not None and name not in walls:
-        raise InputError(
-            f"mission.opening = '{name}' is no wall with an opening: there is {', '.join(walls)}"
-        )
+        raise InputError(f"'{name}' is no wall with an opening: there is {', '.join(walls)}")
     wall = next(iter(walls.values())) if name is None else walls[name]
     turn = wall.turn()
     frame = jnp.stack([rotate(turn, axis) for axis in jnp.eye(3, dtype=turn.dtype)], axis=1)

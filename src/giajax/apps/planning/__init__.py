@@ -4,7 +4,7 @@ from ._plan import (
     Plan as Plan,
     Planned as Planned,
     PlanProblem as PlanProblem,
-    plan as plan,
+    plan_command as plan_command,
 )
 from ._report import (
     PLAN_HEADINGS as PLAN_HEADINGS,

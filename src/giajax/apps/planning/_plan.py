@@ -309,7 +309,7 @@ class Planned:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What was planned; made by `plan`.
+    """What was planned; made by `plan_command`.
 
     Attributes:
         direct: the way there at the largest rate.
@@ -321,6 +321,7 @@ class Plan:
         limits: that were kept to.
         steps: of the search.
         model: of the arm.
+        problem: that was solved.
         notes: sentences on what a reader should know.
     """
 
@@ -333,10 +334,11 @@ class Plan:
     limits: CommandLimits
     steps: int
     model: ArmModel
+    problem: PlanProblem
     notes: tuple[str, ...] = ()
 
 
-def plan(
+def plan_command(
     model: AbstractModel | FitResult,
     target: AbstractTarget,
     *,
@@ -373,9 +375,9 @@ def plan(
 
     Example:
         >>> import giajax, numpy as np
-        >>> from giajax.apps.planning import Pose, plan
+        >>> from giajax.apps.planning import Pose, plan_command
         >>> model = giajax.ArmModel(giajax.takeichi_20m_full(2))
-        >>> found = plan(model, Pose(np.deg2rad([20.0, 0.0])), knots=6)
+        >>> found = plan_command(model, Pose(np.deg2rad([20.0, 0.0])), knots=6)
         >>> found.planned.settled < found.direct.settled
         True
     """
@@ -436,7 +438,7 @@ def plan(
             f"{gap:.2g} m: plan with more clearance"
         )
     kept = (rows[0], rows[1], tips[-1], travel, within, period, limits, steps, stated)
-    return Plan(*kept, tuple(notes))
+    return Plan(*kept, problem, tuple(notes))
 
 
 _OFF = 0.02  # m, of a clearance
@@ -519,10 +521,12 @@ def _checked(problem: PlanProblem, y: np.ndarray, duration: float | None) -> lis
     if off <= 1 + _SLACK:
         return []
     if duration is None:
+        muscles = problem.task.arm.pneumatics is not None
+        held = "; muscles may hold a joint at several angles, near 0 above all" if muscles else ""
         raise InputError(
             f"no command within the limits is found after which the tip stays near the target (at "
-            f"best {off:.2g} times as far as it may be): allow larger angles or rates, or more "
-            "knots"
+            f"best {off:.2g} times as far as it may be{held}): allow larger angles or rates, or "
+            "more knots"
         )
     return [
         f"the tip is {off:.2g} times as far from the target as it may be after {duration:g} s: "

@@ -18,7 +18,8 @@ PLAN_HEADINGS = (
     "command",
     "command ends, s",
     "tip at rest, s",
-    "residual, % of travel",
+    "off target, % of travel",
+    "residual",
     "stiffness -25 %",
     "stiffness +25 %",
     "95 % of draws",
@@ -35,7 +36,10 @@ def plan_rows(found: Plan) -> list[tuple[Any, ...]]:
             row.name,
             float(row.command.times[-1]),
             row.settled,
-            *(100 * size / found.travel for size in (row.residual, row.soft, row.stiff)),
+            *(
+                100 * size / found.travel
+                for size in (row.missed, row.residual, row.soft, row.stiff)
+            ),
             100 * float(np.percentile(row.drawn, 95)) / found.travel if len(row.drawn) else None,
             row.clearance,
         )

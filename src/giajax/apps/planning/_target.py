@@ -135,7 +135,8 @@ class Through(AbstractTarget):
 _ROOM = 0.03  # of clearance that a pose has more than a motion must have, m
 _OFF = 0.01  # of a tip that is where it is to be, m
 _BEND = np.deg2rad(2.0)  # a straight arm has no slope towards its base
-_LIGHT = 0.1  # m/rad, of changes beside the distance
+_FAR = 0.5  # m, beyond which a target is out of reach whatever stands around
+_LIGHT = 0.03  # m/rad, of changes beside the distance
 
 
 def commands_reaching(
@@ -181,6 +182,13 @@ def commands_reaching(
         lambda u: np.concatenate([looked(u)[1][:3], _LIGHT * np.eye(arm.count)]),
         bounds=(-limit, limit),
     )
+    nearest = float(np.linalg.norm(looked(towards.x)[0][:3]))
+    if nearest > _FAR:
+        raise InputError(
+            f"the tip cannot be at {_text(place)} m with joints within {np.rad2deg(limit):g} deg: "
+            f"the nearest pose that is found is {nearest:.2g} m from it; choose a target within "
+            "reach"
+        )
     found = minimize(
         lambda u: (float(np.sum((u - near) ** 2)), 2 * (u - near)),
         towards.x,
@@ -188,11 +196,11 @@ def commands_reaching(
         method="SLSQP",
         bounds=[(-limit, limit)] * arm.count,
         constraints=constraints,
-        options={"maxiter": 300, "ftol": 1e-8},
+        options={"maxiter": 100, "ftol": 1e-8},
     )
     values = looked(found.x)[0] - margin
     off = float(np.linalg.norm(values[:3]))
-    known_rest = rest_at(arm, jnp.asarray(found.x, kept.dtype))
+    known_rest = rest_at(without_contact(arm), jnp.asarray(found.x, kept.dtype))
     if off > _OFF or np.min(values[3:], initial=0.0) < -_OFF or not known_rest.known:
         kept_to = "" if len(margin) == 3 else " and so far from what stands around it"
         raise InputError(

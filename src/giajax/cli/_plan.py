@@ -1,0 +1,223 @@
+"""`giajax plan`: a command that brings an arm to a target as fast or as calmly as can be."""
+
+import json
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..runtime.process import configure
+from ..runtime.text import InputError
+from ._commands import (
+    Force,
+    Json,
+    Quiet,
+    Texts,
+    command,
+    failed_simulation,
+    origin,
+    print_table,
+    say_progress,
+    say_written,
+    write_folder,
+)
+from ._model import definition_of, is_result
+from ._values import numbers, settings
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..apps.planning import AbstractTarget, Plan
+    from ..recordings import Definition
+
+_COMMAND, _PATH, _PAGE, _PICTURE = "command.csv", "path.csv", "plan.json", "plan.png"
+
+
+@command(
+    """\b
+Examples:
+  giajax plan --model giajax-out/run --pose 1=20 --pose 3=-10 --out planned
+                            to a pose, as fast as the limits allow, by a fit
+  giajax plan --model my_arm.toml --tip 16,5,3 --out planned
+                            the tip to a place, in m
+  giajax plan --model my_arm.toml --pose 1=20 --duration 60 --out planned
+                            within 60 s, with as little swing as can be
+  giajax plan --model missions/naraha.toml --through housetop --out planned
+                            through the opening of a wall, clear of everything
+  giajax synth --data planned/command.csv --model giajax-out/run \\
+      --channels tip_z --to rehearsal.csv
+                            the arm of the fit, driven by the plan
+
+\b
+MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
+states an arm. A pose is where the arm rests by commanded angles; joints that
+are left out are at 0. Writes
+  command.csv, command.toml   the command, which an operator can run
+  path.csv                    the expected way of the tip, with bands by a fit
+  plan.json, plan.png         what was found, beside the way there directly
+The air is still, and the arm rests when it begins. The largest rate of the
+paper's arm is not published: 2 deg/s are an assumption.""",
+    group="plan",
+)
+def plan(
+    context: typer.Context,
+    model: Annotated[Path, "MODEL", "The arm; see below."],
+    out: Annotated[Path, "DIR", "Folder for the files."],
+    pose: Annotated[Texts, "JOINT=DEG", "Target: a commanded angle of its pose."] = None,
+    tip: Annotated[str | None, "X,Y,Z", "Target: a place of the tip, m."] = None,
+    through: Annotated[str | None, "WALL", "Target: behind the opening of this wall."] = None,
+    begin: Annotated[Texts, "JOINT=DEG", "A commanded angle in the beginning. [0]"] = None,
+    duration: Annotated[
+        float | None, "S", "Of the command, with the least swing. [the least time]"
+    ] = None,
+    max_angle: Annotated[float, "DEG", "Largest commanded angle of a joint."] = 60.0,
+    max_angle_rate: Annotated[float, "DEG/S", "Largest rate of a commanded angle."] = 2.0,
+    max_pressure: Annotated[float | None, "KPA", "Largest pressure in a muscle."] = None,
+    clearance: Annotated[float, "M", "Least distance of links from obstacles."] = 0.2,
+    within: Annotated[float, "PERCENT", "Of the travel: there the tip is at rest."] = 2.0,
+    knots: Annotated[int, "N", "Straight pieces of the command.", 2] = 10,
+    draws: Annotated[int, "N", "Values of what the fit leaves open to look at.", 0] = 20,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    force: Force = False,
+) -> None:
+    """Plan a command that brings the arm to a target, and leaves it at rest there.
+
+    As fast as the limits of angles, rates, pressures and clearance allow, or with the least swing
+    within a duration; found by derivatives through the simulator.
+    """
+    from ..recordings import check_output_folder, write_run
+
+    given = [name for name, each in (("--pose", pose), ("--tip", tip), ("--through", through))
+             if each]  # fmt: skip
+    if len(given) != 1:
+        raise InputError(
+            f"a plan has one target, and there are {len(given)}: give --pose, --tip or --through, "
+            "and one of them alone"
+        )
+    files = [_COMMAND, _PATH, _PAGE, _PICTURE]
+    check_output_folder(out, [*files, "command.toml"], force=force)
+    place = None if tip is None else numbers(tip, 3)
+    if tip is not None and place is None:
+        raise InputError(f"--tip is '{tip}': give three numbers in m, such as 16,5,3")
+    definition = definition_of(model)
+    configure()
+    import numpy as np
+
+    from ..apps.planning import CommandLimits, path_columns, plan_command, plan_facts, plan_figure
+    from ..fitting import arm_model_of, load_result
+    from ..models import ArmModel
+    from ..report import to_csv, to_png
+
+    source = load_result(model) if is_result(model) else ArmModel.stated_in(definition)
+    joints = arm_model_of(source).arm.count
+    target = _target(pose, place, through, joints, definition)
+    limits = CommandLimits(
+        angle=float(np.deg2rad(max_angle)),
+        rate=float(np.deg2rad(max_angle_rate)),
+        clearance=clearance,
+        pressure=None if max_pressure is None else 1e3 * max_pressure,
+    )
+    with failed_simulation(""):
+        found = plan_command(
+            source,
+            target,
+            begin=_angles(begin, "--begin", joints),
+            limits=limits,
+            duration=duration,
+            within=within / 100,
+            knots=knots,
+            draw_count=draws,
+            progress=say_progress(quiet),
+        )
+    text = json.dumps(plan_facts(found), indent=2, allow_nan=False)
+    contents = {
+        _PATH: to_csv(path_columns(found)),
+        _PAGE: f"{text}\n".encode(),
+        _PICTURE: to_png(plan_figure(found)),
+    }
+    write_folder(out, contents, force=force)
+    # What a file states of the arm stays as it stands there; of a fit, all of it.
+    arm = definition.contents().get("arm") or found.model.definition()["arm"]
+    times, columns, stated = _run(found, arm, origin(context))
+    write_run(out / _COMMAND, times, columns, definition=stated, force=force)
+    if as_json:
+        typer.echo(text)
+    elif not quiet:
+        _show(found)
+        say_written(out, files)
+        words = [shlex.quote(str(each)) for each in (out / _COMMAND, model)]
+        axes = " ".join(f"--channels tip_{axis}" for axis in "xyz")
+        typer.echo(
+            f"next: giajax synth --data {words[0]} --model {words[1]} {axes} --to rehearsal.csv"
+        )
+
+
+def _angles(pairs: list[str] | None, option: str, joints: int) -> "np.ndarray":
+    """Commanded angles of all joints, rad, from JOINT=DEG."""
+    import numpy as np
+
+    angles = np.zeros(joints)
+    for name, values in settings(pairs, option).items():
+        if not (name.isdigit() and len(values) == 1):
+            raise InputError(f"{option} '{name}=...' must be JOINT=DEG, such as 1=20: correct it")
+        if not 1 <= int(name) <= joints:
+            raise InputError(
+                f"{option} is of joint {name}, and the arm has joints 1 to {joints}: correct it"
+            )
+        angles[int(name) - 1] = np.deg2rad(values[0])
+    return angles
+
+
+def _target(
+    pose: list[str] | None,
+    place: list[float] | None,
+    through: str | None,
+    joints: int,
+    definition: "Definition",
+) -> "AbstractTarget":
+    from ..apps.mission import Operator
+    from ..apps.planning import Pose, Through, Tip
+
+    if pose:
+        return Pose(_angles(pose, "--pose", joints))
+    if place is not None:
+        return Tip((place[0], place[1], place[2]))
+    section, approach = definition.mission, None
+    if section is not None:
+        import numpy as np
+
+        approach = np.asarray(Operator.from_section(section, joints).approach)
+    return Through(through, approach=approach)
+
+
+def _run(found: "Plan", arm: Any, by: str) -> tuple[Any, dict[str, Any], dict[str, Any]]:
+    """The planned command as a run: times, columns, and what its sidecar says."""
+    import numpy as np
+
+    row = found.planned
+    used = np.flatnonzero(np.any(np.abs(row.command.angles) > 1e-9, axis=0))
+    columns = {f"joint{k + 1:02d}_command": row.command.angles[:, k] for k in used}
+    stated: dict[str, Any] = {
+        "model": "arm",
+        "origin": by,
+        "arm": arm,
+        "command": {"interpolation": "linear"},
+    }
+    if np.any(np.abs(row.angles[0]) > 1e-9):
+        stated["initial"] = {"angle_deg": np.rad2deg(row.angles[0]).round(9).tolist()}
+    return row.command.times, columns, stated
+
+
+def _show(found: "Plan") -> None:
+    from ..apps.planning import PLAN_HEADINGS, plan_rows
+
+    typer.echo(
+        f"travel of the tip {found.travel:.3g} m, to "
+        f"({', '.join(f'{each:.3g}' for each in found.goal)}) m; slowest period "
+        f"{found.period:.1f} s\n"
+    )
+    print_table(PLAN_HEADINGS, plan_rows(found))
+    for note in found.notes:
+        typer.echo(f"note: {note}")

@@ -1,0 +1,317 @@
+"""Planned commands: derivatives, limits, a linear programme, and arms that are simulated."""
+
+import dataclasses
+import json
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import linprog
+
+from giajax import ArmModel, Definition, InputError, read_run, simulate, takeichi_20m_full
+from giajax.apps.planning import (
+    CommandLimits,
+    Pose,
+    Through,
+    Tip,
+    plan_command,
+)
+from giajax.cli import main
+from giajax.mechanics.arm import acceleration, clearance, takeichi_20m, tip_position
+from giajax.mechanics.obstacles import Box, Plane
+
+LINKS = 3
+POSE = np.deg2rad([20.0, 10.0, 0.0])
+BEGIN = np.deg2rad([5.0, 0.0, 0.0])
+LIMITS = CommandLimits(rate=np.deg2rad(8.0), angle=np.deg2rad(40.0))
+
+
+def arm(**how):
+    return takeichi_20m_full(LINKS, **how)
+
+
+@pytest.fixture(scope="module")
+def fastest():
+    return plan_command(ArmModel(arm()), Pose(POSE), begin=BEGIN, limits=LIMITS)
+
+
+def tips_by(arm, command, times, initial):
+    """By another integrator, closer."""
+    motion = simulate(
+        arm, command.signal(len(command.times)), times, initial=(initial, np.zeros(arm.count)),
+        solver="tsit5", rtol=1e-8, atol=1e-8,
+    )  # fmt: skip
+    return np.stack([np.asarray(tip_position(arm, each)) for each in motion.angles])
+
+
+def test_a_plan_keeps_to_the_limits_and_ends_at_rest_by_another_integrator(fastest):
+    command = fastest.planned.command
+    np.testing.assert_allclose(command.angles[0], BEGIN)
+    np.testing.assert_allclose(command.angles[-1], POSE, atol=1e-9)
+    rates = np.diff(command.angles, axis=0) / np.diff(command.times)[:, None]
+    assert np.max(np.abs(rates)) <= LIMITS.rate * (1 + 1e-6)
+    assert np.max(np.abs(command.angles)) <= LIMITS.angle * (1 + 1e-6)
+    end = command.times[-1]
+    times = np.concatenate([[0.0], end + np.linspace(0, fastest.period, 400)])
+    tips = tips_by(arm(), command, times, fastest.planned.angles[0])
+    off = np.linalg.norm(tips[1:] - fastest.goal, axis=1)
+    assert np.max(off) <= fastest.within * fastest.travel
+    # Without the plan it is not there yet, and later.
+    assert (fastest.direct.settled or np.inf) > 1.5 * fastest.planned.settled
+    assert fastest.direct.residual > 3 * fastest.planned.residual
+
+
+def test_a_longer_command_leaves_less_and_is_not_longer_than_it_is_to_be():
+    model, last = ArmModel(arm()), 0.1
+    for duration in (3.0, 6.0):
+        found = plan_command(
+            model, Pose(POSE), begin=BEGIN, limits=LIMITS, duration=duration, draw_count=0
+        )
+        assert found.planned.command.times[-1] == pytest.approx(duration)
+        share = found.planned.missed / found.travel
+        assert share < last / 2
+        last = share
+    assert not found.notes
+
+
+def test_values_of_a_plan_have_their_slopes(fastest):
+    """By the duration and by coefficients, against differences."""
+    problem = fastest.problem
+    rng = np.random.default_rng(0)
+    y = problem.start.copy()
+    y[1:-2] += 0.2 * rng.normal(size=len(y) - 3)
+    slopes = problem.slopes(y)
+    for place in (0, 1, 5, len(y) - 1):
+        step = 1e-4
+        one, other = y.copy(), y.copy()
+        one[place] += step
+        other[place] -= step
+        slope = (problem.values(one) - problem.values(other)) / (2 * step)
+        np.testing.assert_allclose(slopes[:, place], slope, atol=2e-3 * np.max(np.abs(slope)))
+
+
+def test_the_least_time_of_a_linear_arm_is_that_of_a_linear_programme():
+    """One link that hardly moves, without air: an oscillator, linear in the knots."""
+    still = {"air.density": 1e-6, "joints.damping": 0.05}
+    one = takeichi_20m(1, parameters=still)
+    goal, limits, knots = np.deg2rad(1.0), CommandLimits(rate=np.deg2rad(0.5)), 8
+    found = plan_command(
+        ArmModel(one), Pose(np.array([goal])), limits=limits, knots=knots, draw_count=0
+    )
+    rest = found.planned.angles[-1, 0]
+
+    # The oscillator by differences of the arm itself.
+    def pulled(q, v, u):
+        each = (jnp.asarray([float(x)]) for x in (q, v, u))
+        return float(acceleration(one, *each)[0])
+
+    h, base = 1e-6, pulled(rest, 0, goal)
+    by = [(pulled(rest + h * a, h * b, goal + h * c) - base) / h for a, b, c in np.eye(3)]
+    system = np.zeros((4, 4))
+    system[0, 1], system[1, :3], system[2, 3] = 1, by, 1
+
+    def feasible(duration):
+        """Whether knots exist by which it is near after the command: all is linear in them."""
+        step, period = duration / knots, found.period
+        across = expm(system * step)
+        columns = []
+        for knot in range(knots + 1):
+            unit = np.eye(knots + 1)[knot]
+            state, rows = np.zeros(2), []
+            for k in range(knots):
+                slope = (unit[k + 1] - unit[k]) / step
+                state = (across @ [*state, unit[k], slope])[:2]
+            for time in np.linspace(0, 1, 60) ** 2 * period:
+                rows.append((expm(system * time) @ [*state, unit[-1], 0.0])[0])
+            columns.append(rows)
+        near = 0.95 * found.within * goal
+        motion = np.array(columns).T
+        turned = np.eye(knots + 1, k=1)[:-1] - np.eye(knots + 1)[:-1]
+        most = limits.rate * step
+        ends = np.zeros((2, knots + 1))
+        ends[0, 0] = ends[1, -1] = 1
+        answer = linprog(
+            np.zeros(knots + 1),
+            np.concatenate([motion, -motion, turned, -turned]),
+            [*[goal + near] * 60, *[near - goal] * 60, *[most] * (2 * knots)],
+            ends, [0.0, goal], bounds=(-limits.angle, limits.angle),
+        )  # fmt: skip
+        return answer.status == 0
+
+    low, high = found.direct.command.times[-1], 3 * found.period
+    while high / low > 1.005:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if feasible(middle) else (middle, high)
+    assert found.planned.command.times[-1] == pytest.approx(high, rel=0.03)
+
+
+def test_the_tip_is_brought_to_a_place():
+    place = (2.6, 0.5, 0.7)
+    one = arm()
+    (held,) = Tip(place).commands(one, np.zeros(LINKS), CommandLimits())
+    found = plan_command(ArmModel(one), Pose(held), limits=LIMITS, draw_count=0)
+    np.testing.assert_allclose(found.goal, place, atol=1e-4)
+    np.testing.assert_allclose(found.planned.tips[-1], place, atol=0.02 * found.travel)
+
+
+def test_links_keep_clear():
+    """Of a plane by their height, of a box by the distance of its nearest corner."""
+    height, radius = 0.8, 0.15
+    around = takeichi_20m(
+        2, obstacles=[Plane(centre=[0, 0, -height]), Box([4.0, 1.0, 0.0], [2, 1, 1])]
+    )
+    gaps = np.asarray(clearance(around, jnp.zeros(2)))
+    length = float(jnp.sum(around.links.length))
+    np.testing.assert_allclose(gaps[:, 0], height - radius, atol=1e-12)
+    assert gaps[1, 1] == pytest.approx(math.hypot(3.0 - length, 0.5) - radius)
+    # A positive angle bends it up: away from the plane, by the height of the end that is lower.
+    bent = jnp.asarray([-0.1, 0.0])
+    low = height - length / 2 * math.sin(0.1) - radius
+    assert float(clearance(around, bent)[0, 0]) == pytest.approx(low)
+    slope = jax.jacfwd(lambda each: clearance(around, each)[0, 0])(bent)
+    assert slope[0] == pytest.approx(length / 2 * math.cos(0.1))
+    with pytest.raises(InputError, match="nothing around it"):
+        clearance(takeichi_20m(2), jnp.zeros(2))
+
+
+@pytest.mark.slow
+def test_an_arm_that_remembers_is_held_elsewhere():
+    """The command ends off that of the pose, and the tip is near the target in the end."""
+    remembers = arm(parameters={"joints.memory.strength": 0.05, "joints.memory.yield_angle": 0.002})
+    found = plan_command(ArmModel(remembers), Pose(POSE), limits=LIMITS, draw_count=0)
+    command = found.planned.command
+    assert np.max(np.abs(command.angles[-1] - POSE)) > np.deg2rad(0.2)
+    end = command.times[-1]
+    times = np.concatenate([[0.0], end + np.linspace(0, found.period, 50)])
+    motion = simulate(remembers, command.signal(len(command.times)), times, rtol=1e-7, atol=1e-7)
+    off = [np.linalg.norm(tip_position(remembers, each) - found.goal) for each in motion.angles[1:]]
+    assert np.max(off) <= 1.1 * found.within * found.travel
+
+
+@pytest.mark.slow
+def test_muscles_stay_below_their_pressure():
+    pulled = takeichi_20m(2, muscles="pitch", parameters={"joints.damping": 0.5})
+    begin, pose = np.deg2rad([[10.0, 0.0], [25.0, 0.0]])
+    pressures = []
+    for limit in (None, 31e3):
+        found = plan_command(
+            ArmModel(pulled), Pose(pose), begin=begin, draw_count=0,
+            limits=CommandLimits(pressure=limit, rate=np.deg2rad(4.0)),
+        )  # fmt: skip
+        angles = jnp.asarray(found.planned.command.angles)
+        pressures.append(max(float(jnp.max(pulled.pneumatics.commanded(row))) for row in angles))
+    assert pressures[0] > 31.2e3
+    assert pressures[1] <= 31e3 * (1 + 1e-3)
+
+
+@pytest.mark.slow
+def test_the_paper_s_arm_goes_through_the_opening():
+    """Clear of the housetop by a simulation of its own, and much sooner than directly."""
+    from giajax.apps.mission import Mission
+
+    stated = Definition.load("missions/naraha.toml").contents()
+    del stated["arm"]["parameters"]  # joints without memory
+    mission = Mission.from_definition(Definition.parse(stated))
+    model, opening = mission.model, mission.opening
+    target = Through("housetop", approach=np.asarray(mission.operator.approach))
+    found = plan_command(model, target, knots=8, draw_count=0)
+    local = np.asarray(opening.local(jnp.asarray(found.planned.tips)))
+    ended = found.planned.times >= found.planned.command.times[-1]
+    assert np.all(local[ended, 0] < -mission.section.beyond_m + 0.1)
+    crossing = np.flatnonzero((local[:-1, 0] > 0) & (local[1:, 0] <= 0))
+    assert len(crossing) == 1
+    assert np.all(np.abs(local[crossing[0], 1:]) < np.asarray(opening.half))
+    command = found.planned.command
+    free = dataclasses.replace(model.arm, contact=None)
+    times = np.linspace(0, 1.5 * command.times[-1], 120)
+    motion = simulate(free, command.signal(len(command.times)), times, rtol=1e-6, atol=1e-6)
+    least = min(float(jnp.min(clearance(model.arm, each))) for each in motion.angles)
+    assert least > found.limits.clearance - 0.03
+    assert found.planned.settled < 0.6 * found.direct.settled
+
+
+TOO_MUCH = [
+    ({"target": Pose(np.zeros(LINKS + 1))}, "the pose has 4 angles, and the arm has 3 joints"),
+    ({"target": Pose(np.zeros(LINKS))}, "the tip is where it is to go already"),
+    ({"target": Pose(np.deg2rad([70.0, 0, 0]))}, "is commanded to 70 deg"),
+    ({"target": Tip((9.0, 0.0, 1.0))}, "the tip cannot be at .* choose a target within reach"),
+    ({"target": Through()}, "no opening is around the arm"),
+    ({"duration": 1.0}, "the way there takes 10.0 s, and the command is to last 1 s"),
+    ({"limits": CommandLimits(pressure=1e4)}, "the arm has no muscles"),
+    ({"begin": np.zeros(2)}, "the beginning has 2 angles"),
+    ({"within": 0.0}, "a share between 0 and 1"),
+    ({"knots": 1}, "cannot brake"),
+    ({"duration": -1.0}, "give a positive number"),
+]
+
+
+@pytest.mark.parametrize(("how", "sentence"), TOO_MUCH)
+def test_what_cannot_be_planned_is_said_in_a_sentence(how, sentence):
+    how = {"target": Pose(POSE), **how}
+    with pytest.raises(InputError, match=sentence):
+        plan_command(ArmModel(arm()), how.pop("target"), **how)
+
+
+def test_limits_leave_something():
+    for name in ("angle", "rate", "pressure"):
+        with pytest.raises(InputError, match=f"the largest {name} is -1"):
+            CommandLimits(**{name: -1.0})
+    with pytest.raises(InputError, match="the clearance is -1 m"):
+        CommandLimits(clearance=-1.0)
+
+
+FILE = """\
+schema_version = 1
+model = "arm"
+
+[arm]
+preset = "takeichi_20m_full"
+links = 3
+"""
+
+
+def test_a_plan_is_written_as_a_run_that_the_arm_follows(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.toml").write_text(FILE)
+    words = ["--model", "arm.toml", "--pose", "1=20", "--pose", "2=10", "--begin", "1=5"]
+    limits = ["--max-angle-rate", "8", "--max-angle", "40"]
+    assert main(["plan", *words, *limits, "--out", "planned"]) == 0
+    said = capsys.readouterr().out
+    assert "planned" in said
+    assert "next: giajax synth" in said
+    facts = json.loads((tmp_path / "planned" / "plan.json").read_text())
+    direct, planned = facts["commands"]
+    assert planned["settled_s"] < (direct["settled_s"] or np.inf)
+    run = read_run("planned/command.csv")
+    assert run.times[-1] == pytest.approx(planned["ends_s"])
+    rehearsal = ["--channels", "tip_x", "--channels", "tip_z", "--to", "rehearsal.csv"]
+    given = ["--data", "planned/command.csv", "--model", "arm.toml"]
+    assert main(["synth", *given, *rehearsal, "--quiet"]) == 0
+    path = np.genfromtxt("planned/path.csv", delimiter=",", names=True)
+    rehearsed = read_run("rehearsal.csv")
+    for axis in "xz":
+        expected = np.interp(rehearsed.times, path["time_s"], path[f"tip_{axis}_m"])
+        np.testing.assert_allclose(rehearsed.values[f"tip_{axis}"], expected, atol=2e-3)
+    assert main(["plan", *words, "--out", "planned"]) == 2
+    assert "already exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ([], "a plan has one target, and there are 0"),
+        (["--pose", "1=20", "--tip", "1,1,1"], "a plan has one target, and there are 2"),
+        (["--tip", "1,1"], "give three numbers in m"),
+        (["--pose", "first=20"], "must be JOINT=DEG"),
+        (["--pose", "9=20"], "the arm has joints 1 to 3"),
+    ],
+)
+def test_targets_that_are_none(words, sentence, tmp_path, capsys):
+    (tmp_path / "arm.toml").write_text(FILE)
+    given = ["--model", str(tmp_path / "arm.toml"), "--out", str(tmp_path / "planned")]
+    assert main(["plan", *words, *given]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "planned").exists()
