@@ -54,7 +54,7 @@ class Command:
 
     def shaped(self, impulses: tuple[np.ndarray, np.ndarray]) -> "Command":
         """Convolved with impulses: their times (s) and sizes."""
-        times = np.unique((self.times[:, None] + impulses.times).ravel().round(DIGITS))
+        times = np.unique((self.times[:, None] + impulses[0]).ravel().round(DIGITS))
         parts = zip(*impulses, strict=True)
         return Command(times, sum(size * self.at(times - late) for late, size in parts), self.held)
 
@@ -147,6 +147,19 @@ def rest_at(arm: Arm, commanded: Array) -> Rest:
     )(angles, commanded)
     moves = jax.jacfwd(lambda q: tip_position(arm, q))(angles)
     return Rest(angles, off, by_angles, by_command, mass_matrix(arm, angles), moves)
+
+
+def found_rest(arm: Arm, commanded: np.ndarray) -> Rest:
+    """The arm about its rest by commanded angles (rad), in NumPy's arrays.
+
+    Raises:
+        InputError: none is found.
+    """
+    rest = rest_at(arm, jnp.asarray(commanded, jnp.result_type(float)))
+    if not rest.known:
+        raise InputError("no rest of the arm is found where the command ends: end it elsewhere")
+    parts: Any = map(np.asarray, rest)
+    return Rest(*parts)
 
 
 @program

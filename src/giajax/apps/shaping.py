@@ -39,10 +39,9 @@ from ._moves import (
     DIGITS,
     Command as Command,
     Flight,
-    Rest,
     arms_left_open,
+    found_rest,
     reached,
-    rest_at,
     rest_tips,
     softer,
 )
@@ -218,9 +217,7 @@ def modes_after(arm: Arm, command: Command) -> list[Mode]:
         InputError: the arm has no stable rest there.
     """
     last = jnp.asarray(command.angles[-1], dtype=jnp.result_type(float))
-    about = Rest(*map(np.asarray, rest_at(arm, last)))
-    if not about.known:
-        raise InputError("no rest of the arm is found where the command ends: end it elsewhere")
+    about = found_rest(arm, command.angles[-1])
     held = reached(arm, last)
     frequencies, shapes = about.modes()
     # Of the pose at rest by the command, in each mode.

@@ -26,7 +26,7 @@ from ...runtime.parallel import Batch, run_on_all_cores
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...simulation import Signal
-from .._moves import Command, Flight, arms_left_open, rest_at, rest_tips, softer
+from .._moves import Command, Flight, arms_left_open, found_rest, rest_tips, softer
 from ._target import AbstractTarget, CommandLimits, headroom, without_contact
 
 KNOTS = 10
@@ -162,7 +162,8 @@ class PlanProblem:
         self.cost[-2:] = 1.0, _HARD
         self.low[-2:] = 0.0
         if duration is None:
-            self.cost[0], self.low[0], self.high[0] = 1.0, least / period, _LONGEST
+            self.cost[0], self.low[0] = 1.0, least / period
+            self.high[0] = max(_LONGEST, 2 * self.low[0])
         else:
             self.low[0] = self.high[0] = self.start[0]
             self.low[-2] = -1.0
@@ -342,7 +343,7 @@ def plan_command(
     model: AbstractModel | FitResult,
     target: AbstractTarget,
     *,
-    begin: Sequence[float] | None = None,
+    begin: Sequence[float] | np.ndarray | None = None,
     limits: CommandLimits | None = None,
     duration: float | None = None,
     within: float = 0.02,
@@ -454,11 +455,7 @@ def _problem(
     knots: int,
 ) -> PlanProblem:
     dtype = jnp.result_type(float)
-    free = without_contact(arm)
-    rest = rest_at(free, jnp.asarray(route[-1], dtype))
-    rest = type(rest)(*map(np.asarray, rest))
-    if not rest.known:
-        raise InputError("no rest of the arm is found at the target: choose another one")
+    rest = found_rest(without_contact(arm), route[-1])
     frequencies, shapes = rest.modes()
     legs = np.diff(route, axis=0)
     by_angles, by_command = np.asarray(rest.by_angles), np.asarray(rest.by_command)
@@ -478,12 +475,10 @@ def _problem(
             f"command is to last {duration:g} s: give it longer, or allow a larger rate"
         )
     base = direct.at(np.linspace(0.0, least, knots + 1))
-    numbers = (goal, _INSIDE * near, 2 * np.pi / frequencies[0], limits.clearance)
-    task = _Task(
-        arm,
-        *(jnp.asarray(each, dtype) for each in (base, moves, *numbers)),
-        jnp.asarray(limits.pressure or np.inf, dtype),
-    )
+    period, pressure = 2 * np.pi / frequencies[0], limits.pressure or np.inf
+    numbers = (goal, _INSIDE * near, period, limits.clearance, pressure)
+    rows: Any = [jnp.asarray(each, dtype) for each in (base, moves, *numbers)]
+    task = _Task(arm, *rows)
     # What remembers is held elsewhere than by the command of its pose alone.
     free_end = arm.further_laws.rows > 0
     return PlanProblem(task, limits, _MARGIN * least, duration, free_end)

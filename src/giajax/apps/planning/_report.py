@@ -118,8 +118,8 @@ def plan_figure(found: Plan, title: str = "") -> Figure:
         above.plot(row.times, angles, color=colour, lw=0.9, label=label)
     plain(above, "", "", "planned command (deg)")
     above.legend(fontsize=8, frameon=False)
-    for each, colour in ((found.direct, GREY), (row, BLUE)):
-        _distance(below, found, each, colour)
+    _distance(below, found, found.direct, GREY)
+    _distance(below, found, row, BLUE)
     below.axhline(found.within * found.travel, color=GREY, lw=0.8, ls=":")
     plain(below, "", "time (s)", "distance of the tip\nfrom the target (m)")
     below.set_ylim(0, None)
