@@ -20,6 +20,7 @@ from giajax.apps.filling import curve_figure, filling_curve, filling_figure
 from giajax.apps.joint import correction_figure, equilibria_figure, equilibria_table, joint_figure
 from giajax.apps.mission import Mission, mission_figure
 from giajax.apps.paper import reproduce
+from giajax.apps.planning import Through, plan_command, plan_figure, plan_rows
 from giajax.apps.shaping import Command, shape_command, shaping_figure
 from giajax.apps.synthetic import DECAY
 from giajax.apps.tracking import Air, Unknown, track_figure, usual_places
@@ -138,6 +139,18 @@ def _shaping() -> None:
     _save("shaping", to_png(shaping_figure(found, "5 degrees within 30 s, unshaped and shaped")))
 
 
+def _moves() -> None:
+    """The arm of the mock-up, without joint memory, on its way through the opening."""
+    stated = giajax.Definition.load(ROOT / "missions" / "naraha.toml").contents()
+    del stated["arm"]["parameters"]
+    mission = Mission.from_definition(giajax.Definition.parse(stated))
+    target = Through(approach=np.asarray(mission.operator.approach))
+    found = plan_command(mission.model, target)
+    for row in plan_rows(found):
+        print(row)
+    _save("moves", to_png(plan_figure(found, "Through the opening as fast as the limits allow")))
+
+
 def _tracking() -> None:
     """An arm of eight links that is tracked in gusts, by a late camera."""
     model = giajax.replace(giajax.ArmModel(giajax.takeichi_20m_full(8)), {"camera.delay": DELAY})
@@ -169,6 +182,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     "filling.png filling_curve.png": _filling,
     "mission.png": _mission,
     "shaping.png": _shaping,
+    "moves.png": _moves,
     "tracking.png": _tracking,
     "fig5.png": _paper,
 }

@@ -67,6 +67,8 @@ Examples:
                             the next experiment: what to command and to film
   giajax shape command.csv --model giajax-out/run --out shaped
                             a command after which the arm does not swing
+  giajax plan --model giajax-out/run --pose 1=20 --out planned
+                            the fastest command to a pose within the limits
   giajax track run.csv --model giajax-out/run --wind 0,0.2,0 --out tracked
                             where the arm was, from late and noisy pictures
   giajax wind --data resting.csv --wind 0,0.2,0

@@ -82,7 +82,7 @@ def plan(
     quiet: Quiet = False,
     force: Force = False,
 ) -> None:
-    """Plan a command that brings the arm to a target, and leaves it at rest there.
+    """Plan a command that brings the arm to rest at a target.
 
     As fast as the limits of angles, rates, pressures and clearance allow, or with the least swing
     within a duration; found by derivatives through the simulator.

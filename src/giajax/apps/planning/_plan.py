@@ -27,7 +27,7 @@ from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...simulation import Signal
 from .._moves import Command, Flight, arms_left_open, found_rest, rest_tips, softer
-from ._target import AbstractTarget, CommandLimits, headroom, without_contact
+from ._target import ROOM, AbstractTarget, CommandLimits, headroom, without_contact
 
 KNOTS = 10
 """Intervals of a planned command by default."""
@@ -476,7 +476,7 @@ def _problem(
         )
     base = direct.at(np.linspace(0.0, least, knots + 1))
     period, pressure = 2 * np.pi / frequencies[0], limits.pressure or np.inf
-    numbers = (goal, _INSIDE * near, period, limits.clearance, pressure)
+    numbers = (goal, _INSIDE * near, period, limits.clearance + ROOM, pressure)
     rows: Any = [jnp.asarray(each, dtype) for each in (base, moves, *numbers)]
     task = _Task(arm, *rows)
     # What remembers is held elsewhere than by the command of its pose alone.
@@ -503,11 +503,13 @@ def _checked(problem: PlanProblem, y: np.ndarray, duration: float | None) -> lis
             "the motion of the arm cannot be simulated on the way there: choose a nearer target, "
             "or a lower rate"
         )
-    short = float(-np.min(kept[_AFTER:], initial=0.0))
-    if short > _SLACK:
-        what = "a muscle is beyond its pressure" if problem.task.arm.contact is None else (
-            f"a link comes {short * _GAP:.2g} m nearer to what stands around it than it may"
-        )  # fmt: skip
+    clear = 0 if problem.task.arm.contact is None else _DURING + _AFTER
+    missing = -_GAP * float(np.min(kept[_AFTER : _AFTER + clear], initial=0.0)) - ROOM
+    pressed = -float(np.min(kept[_AFTER + clear :], initial=0.0))
+    if missing > _OFF or pressed > _SLACK:
+        what = f"a link comes {missing:.2g} m nearer to what stands around it than it may"
+        if pressed > _SLACK:
+            what = f"a muscle needs {1 + pressed:.2f} times the largest pressure"
         raise InputError(
             f"no command is found that keeps to the limits ({what}): allow more, or go there in "
             "two moves"

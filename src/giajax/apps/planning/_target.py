@@ -132,7 +132,7 @@ class Through(AbstractTarget):
         return np.stack(ways)
 
 
-_ROOM = 0.03  # of clearance that a pose has more than a motion must have, m
+ROOM = 0.03  # m, of clearance between the times at which a motion is looked at
 _OFF = 0.01  # of a tip that is where it is to be, m
 _BEND = np.deg2rad(2.0)  # a straight arm has no slope towards its base
 _FAR = 0.5  # m, beyond which a target is out of reach whatever stands around
@@ -162,7 +162,7 @@ def commands_reaching(
             known[key] = np.nan_to_num(np.asarray(values)), np.nan_to_num(np.asarray(slopes))
         return known[key]
 
-    free = limits.clearance + _ROOM if arm.contact is not None else 0.0
+    free = limits.clearance + 2 * ROOM if arm.contact is not None else 0.0
     margin = np.concatenate([np.full(3, 0.0), *_margins(arm, limits, free)])
 
     def part(which: slice) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
