@@ -206,7 +206,7 @@ def test_muscles_stay_below_their_pressure():
     assert pressures[1] <= 31e3 * (1 + 1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_paper_s_arm_goes_through_the_opening():
     """Clear of the housetop by a simulation of its own, and much sooner than directly."""
     from giajax.apps.mission import Mission
