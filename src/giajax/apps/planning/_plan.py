@@ -168,13 +168,17 @@ class PlanProblem:
             self.low[0] = self.high[0] = self.start[0]
             self.low[-2] = -1.0
         self._linear(limits, joints, moves, period)
-        kept = self.values(self.start)
-        # A start that nothing forbids: slack for whatever is not kept.
-        missing = -np.minimum(kept, 0)
-        self.start[-2] = np.max(missing[:_AFTER], initial=0.0)
-        self.start[-1] = np.max(missing[_AFTER:], initial=0.0)
-        if not len(kept) > _AFTER:
+        self.start = self._with_slack(self.start)
+        if not len(self.values(self.start)) > _AFTER:
             self.high[-1] = 0.0
+
+    def _with_slack(self, start: np.ndarray) -> np.ndarray:
+        """A start that nothing forbids: slack for whatever is not kept."""
+        start = np.concatenate([start[:-2], np.zeros(2)])
+        missing = -np.minimum(self.values(start), 0)
+        start[-2] = np.max(missing[:_AFTER], initial=0.0)
+        start[-1] = np.max(missing[_AFTER:], initial=0.0)
+        return start
 
     def _linear(self, limits: CommandLimits, joints: int, moves: int, period: float) -> None:
         """Angles at the knots, and rates between them, of joints that are moved at all."""
@@ -245,9 +249,23 @@ class PlanProblem:
                 left = "" if y[-2] < _SLACK else f", {1 + y[-2]:.1f} times as far off as it may be"
                 progress(f"step {count}: {took:.1f} s{left}")
 
+        start = self.start
+        for _ in range(_TRIES):
+            found = self._searched(start, most, step)
+            if self.low[0] == self.high[0] or np.max(found[-2:]) < _SLACK:
+                break
+            # A slower one, from which it may find a way.
+            start = start.copy()
+            start[0] = min(2 * start[0], self.high[0])
+            start = self._with_slack(start)
+        return found, count
+
+    def _searched(
+        self, start: np.ndarray, most: int, step: Callable[[np.ndarray], None]
+    ) -> np.ndarray:
         found = minimize(
             lambda y: (float(self.cost @ y), self.cost),
-            self.start,
+            start,
             jac=True,
             method="SLSQP",
             bounds=list(zip(self.low, self.high, strict=True)),
@@ -262,9 +280,10 @@ class PlanProblem:
             callback=step,
             options={"maxiter": most, "ftol": _ENOUGH},
         )
-        return np.asarray(found.x), int(found.nit)
+        return np.asarray(found.x)
 
 
+_TRIES = 3  # from durations each of which is twice the one before
 _HARD = 10.0  # a slowest period for each unit of what is not kept beside being near
 _LONGEST = 6.0  # of a command, in periods of the slowest mode
 _LOST = 1e3  # of a constraint by a motion that could not be simulated
@@ -377,9 +396,9 @@ def plan_command(
     Example:
         >>> import giajax, numpy as np
         >>> from giajax.apps.planning import Pose, plan_command
-        >>> model = giajax.ArmModel(giajax.takeichi_20m_full(2))
-        >>> found = plan_command(model, Pose(np.deg2rad([20.0, 0.0])), knots=6)
-        >>> found.planned.settled < found.direct.settled
+        >>> model = giajax.ArmModel(giajax.takeichi_20m_full(3))
+        >>> found = plan_command(model, Pose(np.deg2rad([20.0, 0.0, 0.0])))
+        >>> found.planned.missed < found.direct.missed
         True
     """
     stated, limits = arm_model_of(model), limits or CommandLimits()
