@@ -177,33 +177,19 @@ def test_links_keep_clear():
 
 
 @pytest.mark.slow
-def test_an_arm_that_remembers_is_held_elsewhere():
-    """The command ends off that of the pose, and the tip is near the target in the end."""
-    remembers = arm(parameters={"joints.memory.strength": 0.05, "joints.memory.yield_angle": 0.002})
-    found = plan_command(ArmModel(remembers), Pose(POSE), limits=LIMITS, draw_count=0)
-    command = found.planned.command
-    assert np.max(np.abs(command.angles[-1] - POSE)) > np.deg2rad(0.2)
-    end = command.times[-1]
-    times = np.concatenate([[0.0], end + np.linspace(0, found.period, 50)])
-    motion = simulate(remembers, command.signal(len(command.times)), times, rtol=1e-7, atol=1e-7)
-    off = [np.linalg.norm(tip_position(remembers, each) - found.goal) for each in motion.angles[1:]]
-    assert np.max(off) <= 1.1 * found.within * found.travel
-
-
-@pytest.mark.slow
 def test_muscles_stay_below_their_pressure():
     pulled = takeichi_20m(2, muscles="pitch", parameters={"joints.damping": 0.5})
     begin, pose = np.deg2rad([[10.0, 0.0], [25.0, 0.0]])
     pressures = []
-    for limit in (None, 31e3):
+    for limit in (None, 31.45e3):
         found = plan_command(
             ArmModel(pulled), Pose(pose), begin=begin, draw_count=0,
             limits=CommandLimits(pressure=limit, rate=np.deg2rad(4.0)),
         )  # fmt: skip
         angles = jnp.asarray(found.planned.command.angles)
         pressures.append(max(float(jnp.max(pulled.pneumatics.commanded(row))) for row in angles))
-    assert pressures[0] > 31.2e3
-    assert pressures[1] <= 31e3 * (1 + 1e-3)
+    assert pressures[0] > 31.5e3
+    assert pressures[1] <= 31.45e3 * (1 + 1e-3)
 
 
 @pytest.mark.long

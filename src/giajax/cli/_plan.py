@@ -138,7 +138,7 @@ def plan(
         _PICTURE: to_png(plan_figure(found)),
     }
     write_folder(out, contents, force=force)
-    # What a file states of the arm stays as it stands there; of a fit, all of it.
+    # What a file states of the arm stays as it stands there; values of a fit come by --model.
     arm = definition.contents().get("arm") or found.model.definition()["arm"]
     times, columns, stated = _run(found, arm, origin(context))
     write_run(out / _COMMAND, times, columns, definition=stated, force=force)

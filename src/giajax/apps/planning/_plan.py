@@ -36,6 +36,7 @@ _MODES = 3  # that are commanded by themselves
 _DURING, _AFTER = 40, 48  # samples of the motion while the command lasts, and after it
 _COEFFICIENT = 0.1  # rad, for each unknown
 _GAP = 0.1  # m, of each unit of clearance that is missing
+_SHARE = 0.01  # of the largest pressure, of each unit of it that is missing
 _BLUNT = 0.005  # m, over which the least of many distances is smoothed
 _PLANNING, _FINAL = 1e-4, 1e-5  # tolerances of the motion
 _WRONG = 0.25  # share by which a stiffness may be wrong, as of `shape_command`
@@ -111,7 +112,8 @@ def _kept(task: _Task, unknown: Array) -> Array:
         rows.append((_least(gaps) - task.clear) / _GAP)
     if task.arm.pneumatics is not None:
         knots = _knots(task, unknown)
-        rows.append(jax.vmap(lambda row: headroom(task.arm, row, task.pressure))(knots).ravel())
+        left = jax.vmap(lambda row: headroom(task.arm, row, task.pressure))(knots)
+        rows.append(left.ravel() / _SHARE)
     return jnp.concatenate(rows)
 
 
@@ -249,16 +251,19 @@ class PlanProblem:
                 left = "" if y[-2] < _SLACK else f", {1 + y[-2]:.1f} times as far off as it may be"
                 progress(f"step {count}: {took:.1f} s{left}")
 
-        start = self.start
-        for _ in range(_TRIES):
-            found = self._searched(start, most, step)
-            if self.low[0] == self.high[0] or np.max(found[-2:]) < _SLACK:
+        start = best = self.start
+        for attempt in range(_TRIES):
+            found = self._searched(start, most - count, step)
+            if attempt == 0 or self.cost @ found < self.cost @ best:
+                best = found
+            near, clear = found[-2] < _SLACK, _GAP * found[-1] < ROOM + _OFF
+            if self.low[0] == self.high[0] or (near and clear) or count >= most:
                 break
             # A slower one, from which it may find a way.
             start = start.copy()
             start[0] = min(2 * start[0], self.high[0])
             start = self._with_slack(start)
-        return found, count
+        return best, count
 
     def _searched(
         self, start: np.ndarray, most: int, step: Callable[[np.ndarray], None]
@@ -306,6 +311,7 @@ class Planned:
         soft, stiff: residual with a stiffness a quarter lower and higher, m.
         drawn: residual with each draw of what the fit leaves open, m; empty without one.
         clearance: the least of any link, m; None where nothing stands around.
+        closest: the same of the soft, the stiff and the drawn arms, m.
         times: s, shape (sample,).
         tips: of the tip, m, shape (sample, 3).
         angles: of the joints, rad, shape (sample, joint).
@@ -321,6 +327,7 @@ class Planned:
     stiff: float
     drawn: Float[np.ndarray, " draw"]
     clearance: float | None
+    closest: float | None
     times: Float[np.ndarray, " sample"]
     tips: Float[np.ndarray, "sample 3"]
     angles: Float[np.ndarray, "sample joint"]
@@ -451,17 +458,37 @@ def plan_command(
         notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")
     if steps >= most_steps:
         notes.append(f"the search was ended after {steps} steps: more may find a better command")
-    gap = rows[1].clearance
-    if gap is not None and gap < limits.clearance - _OFF:
-        notes.append(
-            f"between the times that were looked at while planning, a link comes as near as "
-            f"{gap:.2g} m: plan with more clearance"
-        )
+    notes += _doubts(rows[1], limits, within * travel)
+    if isinstance(model, FitResult) and model.verdict.status == "inadequate":
+        notes.append("the model of the fit is not adequate: the arm may move in another way")
     kept = (rows[0], rows[1], tips[-1], travel, within, period, limits, steps, stated)
     return Plan(*kept, problem, tuple(notes))
 
 
 _OFF = 0.02  # m, of a clearance
+_PRESSED = 1e-3  # of the largest pressure
+
+
+def _doubts(row: Planned, limits: CommandLimits, near: float) -> list[str]:
+    """Notes on what arms do by the planned command (`InputError`: a link meets something)."""
+    notes = []
+    if row.missed > near:
+        notes.append(
+            f"within three slowest periods after the command the tip is up to {row.missed:.2g} m "
+            f"from the target, and {near:.2g} m are allowed: joints that remember may creep on"
+        )
+    if row.clearance is None or row.closest is None:
+        return notes
+    if row.clearance < 0:
+        raise InputError(
+            "between the times that are looked at while planning a link meets what stands around: "
+            "plan with more clearance"
+        )
+    for gap, whose in ((row.clearance, ""), (row.closest, " of an arm that may be the true one")):
+        if gap < limits.clearance:
+            notes.append(f"a link{whose} comes as near as {gap:.2g} m: plan with more clearance")
+            break
+    return notes
 
 
 def _problem(
@@ -524,10 +551,10 @@ def _checked(problem: PlanProblem, y: np.ndarray, duration: float | None) -> lis
         )
     clear = 0 if problem.task.arm.contact is None else _DURING + _AFTER
     missing = -_GAP * float(np.min(kept[_AFTER : _AFTER + clear], initial=0.0)) - ROOM
-    pressed = -float(np.min(kept[_AFTER + clear :], initial=0.0))
-    if missing > _OFF or pressed > _SLACK:
+    pressed = -_SHARE * float(np.min(kept[_AFTER + clear :], initial=0.0))
+    if missing > _OFF or pressed > _PRESSED:
         what = f"a link comes {missing:.2g} m nearer to what stands around it than it may"
-        if pressed > _SLACK:
+        if pressed > _PRESSED:
             what = f"a muscle needs {1 + pressed:.2f} times the largest pressure"
         raise InputError(
             f"no command is found that keeps to the limits ({what}): allow more, or go there in "
@@ -608,6 +635,7 @@ def _looked(
         stiff=float(left[2]),
         drawn=left[sound],
         clearance=None if arms[0].contact is None else float(gaps[0]),
+        closest=None if arms[0].contact is None else float(np.min(gaps)),
         times=times,
         tips=tips[0],
         angles=angles[0],

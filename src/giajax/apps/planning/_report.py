@@ -73,6 +73,7 @@ def plan_facts(found: Plan) -> dict[str, Any]:
                 "residual_stiff_m": _finite(row.stiff),
                 "residual_drawn_m": row.drawn.tolist(),
                 "clearance_m": row.clearance,
+                "closest_m": None if row.closest is None else _finite(row.closest),
             }
             for row in (found.direct, found.planned)
         ],
@@ -130,7 +131,8 @@ def plan_figure(found: Plan, title: str = "") -> Figure:
 
 def _shown(found: Plan) -> float:
     """Time until which it is interesting, s."""
-    ends = [row.settled or float(row.times[-1]) for row in (found.direct, found.planned)]
+    settled = (found.direct.settled, found.planned.settled)
+    ends = [float(found.planned.times[-1]) if each is None else each for each in settled]
     return min(float(found.planned.times[-1]), 1.3 * max(ends))
 
 
