@@ -291,6 +291,7 @@ def test_a_plan_is_written_as_a_run_that_the_arm_follows(tmp_path, monkeypatch, 
         (["--pose", "1=20", "--tip", "1,1,1"], "a plan has one target, and there are 2"),
         (["--tip", "1,1"], "give three numbers in m"),
         (["--pose", "first=20"], "must be JOINT=DEG"),
+        (["--pose", "20"], "must be JOINT=DEG with a number: write it like 1=20"),
         (["--pose", "9=20"], "the arm has joints 1 to 3"),
     ],
 )

@@ -23,7 +23,7 @@ from ._commands import (
     write_folder,
 )
 from ._model import definition_of, is_result
-from ._values import numbers, settings
+from ._values import joint_angles, numbers
 
 if TYPE_CHECKING:
     import numpy as np
@@ -159,14 +159,14 @@ def _angles(pairs: list[str] | None, option: str, joints: int) -> "np.ndarray":
     import numpy as np
 
     angles = np.zeros(joints)
-    for name, values in settings(pairs, option).items():
-        if not (name.isdigit() and len(values) == 1):
+    for name, angle in joint_angles(pairs, option).items():
+        if not name.isdigit():
             raise InputError(f"{option} '{name}=...' must be JOINT=DEG, such as 1=20: correct it")
         if not 1 <= int(name) <= joints:
             raise InputError(
                 f"{option} is of joint {name}, and the arm has joints 1 to {joints}: correct it"
             )
-        angles[int(name) - 1] = np.deg2rad(values[0])
+        angles[int(name) - 1] = np.deg2rad(angle)
     return angles
 
 

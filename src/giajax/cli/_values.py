@@ -63,6 +63,11 @@ def settings(pairs: Sequence[str] | None, option: str = "--set") -> Values:
     return _by_path(pairs, option, form, example, numbers)
 
 
+def joint_angles(pairs: Sequence[str] | None, option: str) -> dict[str, float]:
+    """Angles (deg) by the text before them, from JOINT=DEG."""
+    return _by_path(pairs, option, "JOINT=DEG with a number", "1=20", number)
+
+
 def plain(values: Values) -> dict[str, float | list[float]]:
     """Values by path as a file has them: one number by itself, several as a list."""
     return {path: each[0] if len(each) == 1 else each for path, each in values.items()}
