@@ -221,6 +221,27 @@ class Flight(NamedTuple):
         return Flown(motion.angles, tips, rest, motion.successful)
 
 
+UNTIL, SETTLING = 150, 360
+"""Samples of a motion until its command ends, and after it."""
+
+
+def settling_times(end: float, longer: float) -> Float[np.ndarray, " sample"]:
+    """Times until a command ends (s), and then for so long (s)."""
+    until = np.linspace(0.0, end, UNTIL, endpoint=False)
+    return np.concatenate([until, end + np.linspace(0.0, longer, SETTLING)])
+
+
+def settled_at(times: np.ndarray, distance: np.ndarray, near: float) -> float | None:
+    """When the tip has come to stay near its rest (m), s; None where it has not."""
+    far = np.flatnonzero(distance > near)
+    if not far.size:
+        return 0.0
+    return None if far[-1] == len(times) - 1 else float(times[far[-1] + 1])
+
+
+WRONG = 0.25
+"""Share by which a stiffness may be wrong."""
+
 _STIFFNESSES = ("joints.pitch_stiffness", "joints.yaw_stiffness")
 
 

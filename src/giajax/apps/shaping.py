@@ -37,12 +37,17 @@ from ..runtime.programs import program
 from ..runtime.text import InputError
 from ._moves import (
     DIGITS,
+    SETTLING,
+    UNTIL,
+    WRONG,
     Command as Command,
     Flight,
     arms_left_open,
     found_rest,
     reached,
     rest_tips,
+    settled_at,
+    settling_times,
     softer,
 )
 
@@ -206,7 +211,6 @@ def _dissipated(arm: Arm, moved: tuple[Array, Array], command: Array, mass: Arra
     return jax.vmap(at)(*moved)
 
 
-_WRONG = 0.25  # share by which a stiffness may be wrong
 _PHASES = (np.arange(64) + 0.5) * 2 * np.pi / 64
 
 
@@ -241,7 +245,7 @@ def _excited(command: Command, gain: np.ndarray, frequency: float) -> float:
     """
     driven = command.angles @ gain
     sizes = []
-    for near in frequency * np.linspace(1 - _WRONG, 1 + _WRONG, 11):
+    for near in frequency * np.linspace(1 - WRONG, 1 + WRONG, 11):
         late = np.exp(-1j * near * command.times)
         if command.held:
             sizes.append(abs(np.sum(np.diff(driven) * late[1:])))
@@ -262,7 +266,6 @@ def _damping(
     return float(np.mean(power) / (frequency * (size * frequency) ** 2))
 
 
-_UNTIL, _AFTER = 150, 360  # samples of a run until the command ends, and after it
 _TUNING, _FINAL = 1e-4, 1e-5  # tolerances: of a millimetre, and of a tenth of that
 
 
@@ -273,7 +276,7 @@ def _moved(flights: Flight) -> tuple[Array, Array]:
 
 
 def _moved_one(flight: Flight) -> tuple[Array, Array]:
-    flown = flight.flown(_AFTER // 3)
+    flown = flight.flown(SETTLING // 3)
     return jnp.linalg.norm(flown.tips - flown.rest[None], axis=1), flown.successful
 
 
@@ -394,7 +397,7 @@ def shape_command(
         raise InputError("the command does not move the tip: give one that does")
     modes = modes_after(arm, command)
     worth = _chosen(modes, travel)
-    wrong = [softer(stated, 1 - _WRONG).arm, softer(stated, 1 + _WRONG).arm]
+    wrong = [softer(stated, 1 - WRONG).arm, softer(stated, 1 + WRONG).arm]
     drawn = arms_left_open(stated, result, draw_count)
     study = _Study(command, modes[0], worth[1:], [arm, *wrong], drawn, travel)
     rows = [study.row("unshaped", None)]
@@ -490,7 +493,7 @@ class _Study:
             impulses=impulses,
             longer=float(impulses.times[-1]),
             tuned=numbers,
-            settled=self._settled(times[0], distances[0, 0]),
+            settled=settled_at(times[0], distances[0, 0], _NEAR * self.travel),
             residual=float(left[0, 0]),
             soft=float(left[0, 1]),
             stiff=float(left[0, 2]),
@@ -505,7 +508,7 @@ class _Study:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What each command leaves with each arm (m), samples (s), and distances over time (m)."""
         longest = 3 * max(mode.period for mode in (self.mode, *self.further))
-        times = np.stack([_samples(each.times[-1], longest) for each in commands])
+        times = np.stack([settling_times(each.times[-1], longest) for each in commands])
         cases = [
             Flight(arm, each.signal(self.rows), jnp.asarray(row), jnp.asarray(tolerance))
             for each, row in zip(commands, times, strict=True)
@@ -517,25 +520,12 @@ class _Study:
         distances, successful = run_on_all_cores([batch])[0]
         distances = np.where(successful[:, None], distances, np.inf)
         distances = distances.reshape(len(commands), len(arms), -1)
-        return np.max(distances[..., _UNTIL:], axis=-1), times, distances
+        return np.max(distances[..., UNTIL:], axis=-1), times, distances
 
     @functools.cached_property
     def rows(self) -> int:
         """As many as a shaped command may have."""
         return len(self.command.times) * 3 ** (1 + len(self.further))
-
-    def _settled(self, times: np.ndarray, distance: np.ndarray) -> float | None:
-        """When the tip has come to stay near its rest, s."""
-        far = np.flatnonzero(distance > _NEAR * self.travel)
-        if not far.size:
-            return 0.0
-        return None if far[-1] == len(times) - 1 else float(times[far[-1] + 1])
-
-
-def _samples(end: float, longest: float) -> np.ndarray:
-    """Times until a command ends, s, and then for so long."""
-    until = np.linspace(0.0, end, _UNTIL, endpoint=False)
-    return np.concatenate([until, end + np.linspace(0.0, longest, _AFTER)])
 
 
 SHAPING_HEADINGS = (
@@ -612,7 +602,7 @@ def shaping_figure(found: Shaping, title: str = "") -> Figure:
             low, high = np.percentile(row.distances, (2.5, 97.5), axis=0)
             below.fill_between(row.times, low, high, color=colour, alpha=0.2, lw=0)
         below.plot(row.times, row.distance, color=colour, label=row.name)
-        below.plot(row.times[_UNTIL], row.distance[_UNTIL], "o", color=colour, ms=5)
+        below.plot(row.times[UNTIL], row.distance[UNTIL], "o", color=colour, ms=5)
     below.axhline(_NEAR * found.travel, color=GREY, lw=0.8, ls=":")
     plain(above, "", "", f"command of joint {joint + 1} (deg)")
     plain(below, "", "time (s)", "distance of the tip\nfrom its rest (m)")

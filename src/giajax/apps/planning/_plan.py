@@ -26,7 +26,19 @@ from ...runtime.parallel import Batch, run_on_all_cores
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...simulation import Signal
-from .._moves import Command, Flight, arms_left_open, found_rest, rest_tips, softer
+from .._moves import (
+    SETTLING,
+    UNTIL,
+    WRONG,
+    Command,
+    Flight,
+    arms_left_open,
+    found_rest,
+    rest_tips,
+    settled_at,
+    settling_times,
+    softer,
+)
 from ._target import ROOM, AbstractTarget, CommandLimits, headroom, without_contact
 
 KNOTS = 10
@@ -39,7 +51,6 @@ _GAP = 0.1  # m, of each unit of clearance that is missing
 _SHARE = 0.01  # of the largest pressure, of each unit of it that is missing
 _BLUNT = 0.005  # m, over which the least of many distances is smoothed
 _PLANNING, _FINAL = 1e-4, 1e-5  # tolerances of the motion
-_WRONG = 0.25  # share by which a stiffness may be wrong, as of `shape_command`
 
 
 class _Task(NamedTuple):
@@ -442,8 +453,9 @@ def plan_command(
     notes = _checked(problem, y, duration)
     last = problem.command(y)
     direct = _direct(route, limits.rate)
-    wrong = [softer(stated, 1 - _WRONG).arm, softer(stated, 1 + _WRONG).arm]
-    drawn = arms_left_open(stated, model, draw_count) if isinstance(model, FitResult) else []
+    wrong = [softer(stated, 1 - WRONG).arm, softer(stated, 1 + WRONG).arm]
+    result = model if isinstance(model, FitResult) else None
+    drawn = arms_left_open(stated, result, draw_count)
     arms = [arm, *wrong, *drawn]
     period = float(problem.task.period)
     if progress is not None:
@@ -459,7 +471,7 @@ def plan_command(
     if steps >= most_steps:
         notes.append(f"the search was ended after {steps} steps: more may find a better command")
     notes += _doubts(rows[1], limits, within * travel)
-    if isinstance(model, FitResult) and model.verdict.status == "inadequate":
+    if result is not None and result.verdict.status == "inadequate":
         notes.append("the model of the fit is not adequate: the arm may move in another way")
     kept = (rows[0], rows[1], tips[-1], travel, within, period, limits, steps, stated)
     return Plan(*kept, problem, tuple(notes))
@@ -582,16 +594,13 @@ def _flights(cases: Flight, around: Arm) -> tuple[Array, ...]:
     """Angles, tips, rests, whether they were simulated, and the least clearance of each."""
 
     def one(flight: Flight) -> tuple[Array, ...]:
-        flown = flight.flown(_LAST)
+        flown = flight.flown(SETTLING // 3)
         gap = jnp.full((), jnp.inf, flown.tips.dtype)
         if around.contact is not None:
             gap = jnp.min(jax.lax.map(lambda q: jnp.min(clearance(around, q)), flown.angles))
         return (*flown, gap)
 
     return jax.lax.map(one, cases)
-
-
-_UNTIL, _SETTLING, _LAST = 150, 360, 120  # samples until a command ends, after it, and the last
 
 
 def _looked(
@@ -605,9 +614,7 @@ def _looked(
     rows: int,
 ) -> Planned:
     """What arms do by a command (of so many rows): as it is, soft, stiff, and the drawn ones."""
-    end = float(command.times[-1])
-    until = np.linspace(0.0, end, _UNTIL, endpoint=False)
-    times = np.concatenate([until, end + np.linspace(0.0, 3 * period, _SETTLING)])
+    times = settling_times(float(command.times[-1]), 3 * period)
     signal, stamps = command.signal(rows), jnp.asarray(times)
     cases = [Flight(without_contact(each), signal, stamps, jnp.asarray(_FINAL)) for each in arms]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *cases)
@@ -618,19 +625,15 @@ def _looked(
             "the motion of the arm cannot be simulated by the command: choose a nearer target"
         )
     from_rest = np.linalg.norm(tips - rests[:, None], axis=2)
-    left = np.where(successful, np.max(from_rest[:, _UNTIL:], axis=1), np.inf)
+    left = np.where(successful, np.max(from_rest[:, UNTIL:], axis=1), np.inf)
     sound = np.flatnonzero(successful)
     sound = sound[sound >= 3]
-    far = np.flatnonzero(from_rest[0] > near)
-    settled = 0.0 if not far.size else None
-    if far.size and far[-1] < len(times) - 1:
-        settled = float(times[far[-1] + 1])
     return Planned(
         name=name,
         command=command,
-        settled=settled,
+        settled=settled_at(times, from_rest[0], near),
         residual=float(left[0]),
-        missed=float(np.max(np.linalg.norm(tips[0, _UNTIL:] - goal, axis=1))),
+        missed=float(np.max(np.linalg.norm(tips[0, UNTIL:] - goal, axis=1))),
         soft=float(left[1]),
         stiff=float(left[2]),
         drawn=left[sound],
