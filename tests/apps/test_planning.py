@@ -4,7 +4,6 @@ import dataclasses
 import json
 import math
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -20,8 +19,7 @@ from giajax.apps.planning import (
     plan_command,
 )
 from giajax.cli import main
-from giajax.mechanics.arm import Contact, acceleration, clearance, takeichi_20m, tip_position
-from giajax.mechanics.obstacles import Box, Plane
+from giajax.mechanics.arm import acceleration, clearance, takeichi_20m, tip_position
 
 LINKS = 3
 POSE = np.deg2rad([20.0, 10.0, 0.0])
@@ -155,25 +153,6 @@ def test_the_tip_is_brought_to_a_place():
     found = plan_command(ArmModel(one), Pose(held), draw_count=0)
     np.testing.assert_allclose(found.goal, place, atol=1e-4)
     np.testing.assert_allclose(found.planned.tips[-1], place, atol=0.02 * found.travel)
-
-
-def test_links_keep_clear():
-    """Of a plane by their height, of a box by the distance of its nearest corner."""
-    height, radius = 0.8, 0.15
-    things = (Plane([0.0, 0.0, -height]), Box([4.0, 1.0, 0.0], [2.0, 1.0, 1.0]))
-    around = dataclasses.replace(takeichi_20m(2), contact=Contact(things))
-    gaps = np.asarray(clearance(around, jnp.zeros(2)))
-    length = float(jnp.sum(around.links.length))
-    np.testing.assert_allclose(gaps[:, 0], height - radius, atol=1e-12)
-    assert gaps[1, 1] == pytest.approx(math.hypot(3.0 - length, 0.5) - radius)
-    # A positive angle bends it up: away from the plane, by the height of the end that is lower.
-    bent = jnp.asarray([-0.1, 0.0])
-    low = height - length / 2 * math.sin(0.1) - radius
-    assert float(clearance(around, bent)[0, 0]) == pytest.approx(low)
-    slope = jax.jacfwd(lambda each: clearance(around, each)[0, 0])(bent)
-    assert slope[0] == pytest.approx(length / 2 * math.cos(0.1))
-    with pytest.raises(InputError, match="nothing around it"):
-        clearance(takeichi_20m(2), jnp.zeros(2))
 
 
 @pytest.mark.slow

@@ -59,9 +59,10 @@ def test_no_public_function_is_left_out():
         *mechanics.PRESETS,
     }
     without_state = {"cylinder_drag_coefficient", "net_lift", "bodies", "lift"}
-    of_memory = {"hysteresis_power"}  # in test_joint_memory
-    of_muscles = {"muscle_power"}  # in test_pneumatics
-    of_contact = {"contact_energy", "contact_stiffness", "touch", "touched"}  # in test_contact
+    # In test_contact, test_joint_memory and test_pneumatics.
+    of_memory = {"hysteresis_power"}
+    of_muscles = {"muscle_power"}
+    of_contact = {"clearance", "contact_energy", "contact_stiffness", "touch", "touched"}
     # Parts of those that are tested, which rooms above and tests of identities use.
     parts = {"carried_inertia", "eliminate_and_solve", "motion_and_momentum", "solve_eliminated"}
     parts |= {"flattening", "sum_from_tip", "check_drag_law", "check_joint_law", "check_wind"}

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 
 import equinox as eqx
 import jax
@@ -319,6 +320,25 @@ def test_many_links_at_once_are_all_seen():
     # At the end of the box, forces on one link have several directions.
     alike = np.delete(np.arange(15), 13)
     assert_allclose(seen[alike], jnp.linalg.norm(force, axis=2).sum(axis=1)[alike], rtol=1e-9)
+
+
+def test_clearance_is_the_distance_of_the_skin_and_has_its_slope():
+    """Of a plane by their height, of a box by the distance of its nearest corner."""
+    height, radius = 0.8, 0.15
+    things = (Plane([0.0, 0.0, -height]), Box([4.0, 1.0, 0.0], [2.0, 1.0, 1.0]))
+    around = dataclasses.replace(takeichi_20m(2), contact=Contact(things))
+    gaps = np.asarray(mechanics.clearance(around, jnp.zeros(2)))
+    length = float(jnp.sum(around.links.length))
+    np.testing.assert_allclose(gaps[:, 0], height - radius, atol=1e-12)
+    assert gaps[1, 1] == pytest.approx(math.hypot(3.0 - length, 0.5) - radius)
+    # A positive angle bends it up: away from the plane, by the height of the end that is lower.
+    bent = jnp.asarray([-0.1, 0.0])
+    low = height - length / 2 * math.sin(0.1) - radius
+    assert float(mechanics.clearance(around, bent)[0, 0]) == pytest.approx(low)
+    slope = jax.jacfwd(lambda each: mechanics.clearance(around, each)[0, 0])(bent)
+    assert slope[0] == pytest.approx(length / 2 * math.cos(0.1))
+    with pytest.raises(InputError, match="nothing around it"):
+        mechanics.clearance(takeichi_20m(2), jnp.zeros(2))
 
 
 def test_contact_needs_something_to_touch():
