@@ -82,7 +82,8 @@ class Rest(NamedTuple):
         off: how far off they may be, rad.
         by_angles, by_command: slopes of the accelerations, 1/s^2.
         mass: its mass matrix, kg m^2.
-        moves: slope of the place of the tip by angles, m/rad.
+        tip: where its tip is, m.
+        moves: slope of that by angles, m/rad.
     """
 
     angles: Float[Array, " joint"]
@@ -90,6 +91,7 @@ class Rest(NamedTuple):
     by_angles: Float[Array, "joint joint"]
     by_command: Float[Array, "joint joint"]
     mass: Float[Array, "joint joint"]
+    tip: Float[Array, "3"]
     moves: Float[Array, "3 joint"]
 
     @property
@@ -146,10 +148,11 @@ def rest_at(arm: Arm, commanded: Array) -> Rest:
         lambda q, u: _pulled(arm, q, reached(arm, u)), argnums=(0, 1)
     )(angles, commanded)
     moves = jax.jacfwd(lambda q: tip_position(arm, q))(angles)
-    return Rest(angles, off, by_angles, by_command, mass_matrix(arm, angles), moves)
+    tip = tip_position(arm, angles)
+    return Rest(angles, off, by_angles, by_command, mass_matrix(arm, angles), tip, moves)
 
 
-def found_rest(arm: Arm, commanded: np.ndarray) -> Rest:
+def found_rest(arm: Arm, commanded: np.ndarray, where: str = "where the command ends") -> Rest:
     """The arm about its rest by commanded angles (rad), in NumPy's arrays.
 
     Raises:
@@ -157,19 +160,9 @@ def found_rest(arm: Arm, commanded: np.ndarray) -> Rest:
     """
     rest = rest_at(arm, jnp.asarray(commanded, jnp.result_type(float)))
     if not rest.known:
-        raise InputError("no rest of the arm is found where the command ends: end it elsewhere")
+        raise InputError(f"no rest of the arm is found {where}: choose another pose there")
     parts: Any = map(np.asarray, rest)
     return Rest(*parts)
-
-
-@program
-def rest_tips(arm: Arm, commanded: Array) -> Array:
-    """Where the tip is at rest by each row of commanded angles, m."""
-
-    def at(row: Array) -> Array:
-        return tip_position(arm, resting(arm, reached(arm, row))[0])
-
-    return jax.lax.map(at, commanded)
 
 
 def reached(arm: Arm, commanded: Array) -> Array:

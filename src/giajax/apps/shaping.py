@@ -28,7 +28,7 @@ from matplotlib.figure import Figure
 from scipy.optimize import root
 
 from ..fitting import FitResult, arm_model_of
-from ..mechanics.arm import Arm, acceleration
+from ..mechanics.arm import Arm, acceleration, tip_position
 from ..models import AbstractModel
 from ..report import BLUE, GREEN, GREY, VERMILLION, new_figure, plain
 from ..runtime.arrays import Array, Float
@@ -45,7 +45,7 @@ from ._moves import (
     arms_left_open,
     found_rest,
     reached,
-    rest_tips,
+    resting,
     settled_at,
     settling_times,
     softer,
@@ -391,7 +391,7 @@ def shape_command(
             "the arm has muscles, whose stiffness changes with their pressures and which may hold "
             "a joint at several angles: shape the command of an arm with springs"
         )
-    tips = np.asarray(rest_tips(arm, jnp.asarray(command.angles, dtype=jnp.result_type(float))))
+    tips = np.asarray(_rest_tips(arm, jnp.asarray(command.angles, dtype=jnp.result_type(float))))
     travel = float(np.max(np.linalg.norm(tips - tips[-1], axis=1)))
     if not travel > 1e-6:
         raise InputError("the command does not move the tip: give one that does")
@@ -417,6 +417,16 @@ def shape_command(
     if soonest <= min(others, default=np.inf) and np.isfinite(soonest):
         notes.append("no shaped command brings the tip to rest sooner than the command as it was")
     return Shaping(tuple(rows), tuple(worth), travel, tuple(notes))
+
+
+@program
+def _rest_tips(arm: Arm, commanded: Array) -> Array:
+    """Where the tip is at rest by each row of commanded angles, m."""
+
+    def at(row: Array) -> Array:
+        return tip_position(arm, resting(arm, reached(arm, row))[0])
+
+    return jax.lax.map(at, commanded)
 
 
 def _chosen(modes: Sequence[Mode], travel: float) -> list[Mode]:

@@ -672,7 +672,7 @@ def say_served(page: Any, whoever: str, end: str, *, browser: bool, quiet: bool)
         open_in_browser(page.address)
 
 
-_ONLY_WHERE = ("out", "to", "page", "force", "quiet")
+_ONLY_WHERE = ("out", "to", "page", "force", "quiet", "as_json")
 
 
 def origin(context: typer.Context) -> str:
@@ -683,6 +683,9 @@ def origin(context: typer.Context) -> str:
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
         if parameter.name in _ONLY_WHERE or value in (None, [], (), parameter.default):
+            continue
+        if isinstance(value, bool):
+            words += (parameter.opts if value else parameter.secondary_opts)[:1]
             continue
         items = value if isinstance(value, list | tuple) else [value]
         for item in items:

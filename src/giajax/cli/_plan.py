@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..apps.planning import AbstractTarget, Plan
+    from ..models import ArmModel
     from ..recordings import Definition
 
 _COMMAND, _PATH, _PAGE, _PICTURE = "command.csv", "path.csv", "plan.json", "plan.png"
@@ -96,8 +97,8 @@ def plan(
             f"a plan has one target, and there are {len(given)}: give --pose, --tip or --through, "
             "and one of them alone"
         )
-    files = [_COMMAND, _PATH, _PAGE, _PICTURE]
-    check_output_folder(out, [*files, "command.toml"], force=force)
+    files = [_COMMAND, "command.toml", _PATH, _PAGE, _PICTURE]
+    check_output_folder(out, files, force=force)
     place = None if tip is None else numbers(tip, 3)
     if tip is not None and place is None:
         raise InputError(f"--tip is '{tip}': give three numbers in m, such as 16,5,3")
@@ -138,8 +139,8 @@ def plan(
         _PICTURE: to_png(plan_figure(found)),
     }
     write_folder(out, contents, force=force)
-    # What a file states of the arm stays as it stands there; values of a fit come by --model.
-    arm = definition.contents().get("arm") or found.model.definition()["arm"]
+    # What a file states of the arm stays as it stands there.
+    arm = definition.contents().get("arm") or _with_values(found.model)
     times, columns, stated = _run(found, arm, origin(context))
     write_run(out / _COMMAND, times, columns, definition=stated, force=force)
     if as_json:
@@ -190,6 +191,15 @@ def _target(
 
         approach = np.asarray(Operator.from_section(section, joints).approach)
     return Through(through, approach=approach)
+
+
+def _with_values(model: "ArmModel") -> dict[str, Any]:
+    """The arm with its constants and with what a fit finds, as a file states it."""
+    from ..models import preset_of
+
+    found, constants = preset_of(model.arm), model.definition()["arm"]
+    parameters = {**found["parameters"], **constants.get("parameters", {})}
+    return {**found, **constants, "parameters": parameters}
 
 
 def _run(found: "Plan", arm: Any, by: str) -> tuple[Any, dict[str, Any], dict[str, Any]]:

@@ -1,311 +1,43 @@
-"""The fastest or the calmest command, found by derivatives through the simulator.
-
-Unknown are how long the command lasts and its values at equidistant knots, between which it is
-straight: about the way there they are sums of the commands that hold the arm in shapes of the
-modes that the move excites, and of the parts of the way. From its end on, and for one period of the
-slowest mode, the tip is to stay near the target. That, and the clearance, are constraints by the
-simulated motion; angles and rates of the command are linear ones. The sequential quadratic
-programme of Kraft (1988), SLSQP in scipy, has the slope of each by forward differentiation. Slack
-that costs makes every start feasible (Nocedal and Wright, Numerical Optimization, chapter 18.5).
-"""
+"""Plans: what a command is to do, the search for it, and what arms do by it."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import minimize
 
 from ...fitting import FitResult, arm_model_of
 from ...mechanics.arm import Arm, clearance
+from ...mechanics.obstacles import owners
 from ...models import AbstractModel, ArmModel
-from ...runtime.arrays import Array, Float, Scalar, safe_norm
+from ...runtime.arrays import Array, Float
 from ...runtime.parallel import Batch, run_on_all_cores
 from ...runtime.programs import program
 from ...runtime.text import InputError
-from ...simulation import Signal
 from .._moves import (
     SETTLING,
     UNTIL,
     WRONG,
     Command,
     Flight,
+    Rest,
     arms_left_open,
     found_rest,
-    rest_tips,
     settled_at,
     settling_times,
     softer,
 )
-from ._target import ROOM, AbstractTarget, CommandLimits, headroom, without_contact
+from ._search import AFTER, DURING, GAP, LOST, NEARER, SHARE, SLACK, PlanProblem, Task
+from ._target import ROOM, AbstractTarget, CommandLimits, without_contact
 
 KNOTS = 10
 """Intervals of a planned command by default."""
 
 _MODES = 3  # that are commanded by themselves
-_DURING, _AFTER = 40, 48  # samples of the motion while the command lasts, and after it
-_COEFFICIENT = 0.1  # rad, for each unknown
-_GAP = 0.1  # m, of each unit of clearance that is missing
-_SHARE = 0.01  # of the largest pressure, of each unit of it that is missing
-_BLUNT = 0.005  # m, over which the least of many distances is smoothed
-_PLANNING, _FINAL = 1e-4, 1e-5  # tolerances of the motion
-
-
-class _Task(NamedTuple):
-    """What is constant while a plan is looked for.
-
-    Attributes:
-        base: commanded angles at the knots, about which they are changed, rad.
-        moves: by which, rad.
-        goal: of the tip, m.
-        near: how far from it the tip may be from the command's end on, m.
-        period: of the slowest mode, s.
-        clear: clearance to keep, m.
-        pressure: in muscles at most, Pa.
-    """
-
-    arm: Arm
-    base: Float[Array, "knot joint"]
-    moves: Float[Array, "move joint"]
-    goal: Float[Array, "3"]
-    near: Scalar
-    period: Scalar
-    clear: Scalar
-    pressure: Scalar
-
-
-def _knots(task: _Task, unknown: Array) -> Float[Array, "knot joint"]:
-    """Commanded angles; the end is free where there are unknowns for it."""
-    rows = unknown[1:].reshape(-1, len(task.moves)) * _COEFFICIENT
-    ends = jnp.zeros_like(rows[:1])
-    held = [rows, ends] if len(rows) < len(task.base) - 1 else [rows]
-    return task.base + jnp.concatenate([ends, *held]) @ task.moves
-
-
-def _signal(task: _Task, unknown: Array) -> Signal:
-    knots, duration = _knots(task, unknown), unknown[0] * task.period
-    count = len(knots) - 1
-    slopes = jnp.diff(knots, axis=0) / (duration / count)
-    times = jnp.linspace(0.0, 1.0, count + 1, dtype=knots.dtype) * duration
-    rough = jnp.full(count + 1, jnp.inf, knots.dtype)
-    return Signal(times, knots, jnp.concatenate([slopes, jnp.zeros_like(slopes[:1])]), rough)
-
-
-def _sampled(duration: Scalar, after: Scalar) -> Array:
-    until = jnp.linspace(0.0, 1.0, _DURING, endpoint=False, dtype=duration.dtype) * duration
-    # What is quick dies away soon.
-    since = jnp.linspace(0.0, 1.0, _AFTER, dtype=duration.dtype) ** 2 * after
-    return jnp.concatenate([until, duration + since])
-
-
-def _least(distances: Array) -> Array:
-    """The least of each row, smoothed: by at most so much too small as it has columns."""
-    flat = distances.reshape(len(distances), -1)
-    return -_BLUNT * jax.nn.logsumexp(-flat / _BLUNT, axis=1)
-
-
-def _kept(task: _Task, unknown: Array) -> Array:
-    """How much is left of each constraint, without slack: at least 0 where it is kept.
-
-    First how far from being near the tip is after the command, over `near`; then the clearance.
-    """
-    times = _sampled(unknown[0] * task.period, task.period)
-    tolerance = jnp.asarray(_PLANNING, times.dtype)
-    free = without_contact(task.arm)
-    flight = Flight(free, _signal(task, unknown), times, tolerance)
-    flown = flight.flown(1, steps_for="derivatives")
-    off = jax.vmap(safe_norm)(flown.tips[_DURING:] - task.goal[None])
-    rows = [1 - off / task.near]
-    if task.arm.contact is not None:
-        gaps = jax.vmap(lambda angles: clearance(task.arm, angles))(flown.angles)
-        rows.append((_least(gaps) - task.clear) / _GAP)
-    if task.arm.pneumatics is not None:
-        knots = _knots(task, unknown)
-        left = jax.vmap(lambda row: headroom(task.arm, row, task.pressure))(knots)
-        rows.append(left.ravel() / _SHARE)
-    return jnp.concatenate(rows)
-
-
-@program
-def _values(task: _Task, unknown: Array) -> tuple[Array, Array]:
-    """What is kept, and its slopes by the unknowns: one program for both."""
-
-    def kept(unknown: Array) -> tuple[Array, Array]:
-        values = _kept(task, unknown)
-        return values, values
-
-    slopes, values = jax.jacfwd(kept, has_aux=True)(unknown)
-    return values, slopes
-
-
-class PlanProblem:
-    """A plan to look for, as any optimiser with constraints takes it.
-
-    Unknowns are the duration over the slowest period, the coefficients of the knots, and two
-    slacks: of being near, in units of that, and of all else. `cost` is linear in them.
-
-    Attributes:
-        start: unknowns to begin with.
-        cost: of each unknown.
-        low, high: bounds of the unknowns.
-        linear, offset: `linear @ unknowns + offset` is at least 0 within angles and rates.
-    """
-
-    def __init__(
-        self,
-        task: _Task,
-        limits: CommandLimits,
-        least: float,
-        duration: float | None,
-        free_end: bool,
-    ) -> None:
-        self.task = task
-        self._last: tuple[bytes, Any] = (b"", None)
-        self.knots, joints = task.base.shape
-        moves = len(task.moves)
-        self.rows = self.knots - 1 if free_end else self.knots - 2
-        count = 1 + self.rows * moves + 2
-        self.start = np.zeros(count)
-        period = float(task.period)
-        self.start[0] = (max(least, period) if duration is None else duration) / period
-        self.low, self.high = np.full(count, -np.inf), np.full(count, np.inf)
-        self.cost = np.zeros(count)
-        self.cost[-2:] = 1.0, _HARD
-        self.low[-2:] = 0.0
-        if duration is None:
-            self.cost[0], self.low[0] = 1.0, least / period
-            self.high[0] = max(_LONGEST, 2 * self.low[0])
-        else:
-            self.low[0] = self.high[0] = self.start[0]
-            self.low[-2] = -1.0
-        self._linear(limits, joints, moves, period)
-        self.start = self._with_slack(self.start)
-        if not len(self.values(self.start)) > _AFTER:
-            self.high[-1] = 0.0
-
-    def _with_slack(self, start: np.ndarray) -> np.ndarray:
-        """A start that nothing forbids: slack for whatever is not kept."""
-        start = np.concatenate([start[:-2], np.zeros(2)])
-        missing = -np.minimum(self.values(start), 0)
-        start[-2] = np.max(missing[:_AFTER], initial=0.0)
-        start[-1] = np.max(missing[_AFTER:], initial=0.0)
-        return start
-
-    def _linear(self, limits: CommandLimits, joints: int, moves: int, period: float) -> None:
-        """Angles at the knots, and rates between them, of joints that are moved at all."""
-        base, move = np.asarray(self.task.base), np.asarray(self.task.moves)
-        used = np.flatnonzero(np.any(move != 0, axis=0) | (np.ptp(base, axis=0) > 0))
-        count = len(self.start)
-        values = np.zeros((self.knots, len(used), count))
-        for row in range(self.rows):
-            place = 1 + row * moves
-            values[row + 1, :, place : place + moves] = _COEFFICIENT * move[:, used].T
-        changes = np.diff(values, axis=0)
-        away = np.diff(base[:, used], axis=0)
-        # All are over the limit: of the angle, and of what the slowest period allows.
-        step = limits.rate * period / (self.knots - 1)
-        rows, offsets = [], []
-        for sign in (-1, 1):
-            rows.append(sign * values[1:].reshape(-1, count) / limits.angle)
-            offsets.append((1 + sign * base[1:, used] / limits.angle).ravel())
-            turned = sign * changes.reshape(-1, count) / step
-            turned[:, 0] += 1
-            rows.append(turned)
-            offsets.append((sign * away / step).ravel())
-        self.linear, self.offset = np.concatenate(rows), np.concatenate(offsets)
-
-    def values(self, y: np.ndarray) -> np.ndarray:
-        """How much is left of each constraint by the motion, with slack."""
-        kept = self._looked(y)[0].copy()
-        kept[:_AFTER] += y[-2]
-        kept[_AFTER:] += y[-1]
-        return kept
-
-    def slopes(self, y: np.ndarray) -> np.ndarray:
-        """Of the values, by the unknowns."""
-        by = self._looked(y)[1]
-        slack = np.zeros((len(by), 2))
-        slack[:_AFTER, 0] = slack[_AFTER:, 1] = 1
-        return np.concatenate([by, slack], axis=1)
-
-    def _looked(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values and slopes without slack; the last are kept, as an optimiser needs both."""
-        key = y[:-2].tobytes()
-        if key != self._last[0]:
-            values, slopes = map(np.asarray, _values(self.task, self._unknowns(y)))
-            values = np.nan_to_num(values, nan=-_LOST, posinf=_LOST, neginf=-_LOST)
-            self._last = key, (values, np.nan_to_num(slopes))
-        return self._last[1]
-
-    def _unknowns(self, y: np.ndarray) -> Array:
-        return jnp.asarray(y[:-2], self.task.base.dtype)
-
-    def command(self, y: np.ndarray) -> Command:
-        """The command of unknowns."""
-        knots = np.asarray(_knots(self.task, self._unknowns(y)))
-        duration = float(y[0] * self.task.period)
-        return Command(np.linspace(0.0, duration, self.knots), knots)
-
-    def solved(
-        self, most: int, progress: Callable[[str], None] | None = None
-    ) -> tuple[np.ndarray, int]:
-        """The best unknowns that SLSQP finds, and in how many steps."""
-        count = 0
-
-        def step(y: np.ndarray) -> None:
-            nonlocal count
-            count += 1
-            if progress is not None and count % _EVERY == 0:
-                took = float(y[0] * self.task.period)
-                left = "" if y[-2] < _SLACK else f", {1 + y[-2]:.1f} times as far off as it may be"
-                progress(f"step {count}: {took:.1f} s{left}")
-
-        start = best = self.start
-        for attempt in range(_TRIES):
-            found = self._searched(start, most - count, step)
-            if attempt == 0 or self.cost @ found < self.cost @ best:
-                best = found
-            near, clear = found[-2] < _SLACK, _GAP * found[-1] < ROOM + _OFF
-            if self.low[0] == self.high[0] or (near and clear) or count >= most:
-                break
-            # A slower one, from which it may find a way.
-            start = start.copy()
-            start[0] = min(2 * start[0], self.high[0])
-            start = self._with_slack(start)
-        return best, count
-
-    def _searched(
-        self, start: np.ndarray, most: int, step: Callable[[np.ndarray], None]
-    ) -> np.ndarray:
-        found = minimize(
-            lambda y: (float(self.cost @ y), self.cost),
-            start,
-            jac=True,
-            method="SLSQP",
-            bounds=list(zip(self.low, self.high, strict=True)),
-            constraints=[
-                {"type": "ineq", "fun": self.values, "jac": self.slopes},
-                {
-                    "type": "ineq",
-                    "fun": lambda y: self.linear @ y + self.offset,
-                    "jac": lambda y: self.linear,
-                },
-            ],
-            callback=step,
-            options={"maxiter": most, "ftol": _ENOUGH},
-        )
-        return np.asarray(found.x)
-
-
-_TRIES = 3  # from durations each of which is twice the one before
-_HARD = 10.0  # a slowest period for each unit of what is not kept beside being near
-_LONGEST = 6.0  # of a command, in periods of the slowest mode
-_LOST = 1e3  # of a constraint by a motion that could not be simulated
-_ENOUGH = 3e-4  # of the cost
-_EVERY = 5  # steps between two lines of progress
-_SLACK = 0.02  # that is left of a plan that keeps to everything
+_LATER = 3  # slowest periods after the command that are looked at
+_FINAL = 1e-5  # tolerance of the motion
 
 
 @dataclasses.dataclass(frozen=True)
@@ -319,7 +51,8 @@ class Planned:
             not within three slowest periods after the command.
         residual: largest distance of the tip from where it comes to rest, after the command, m.
         missed: largest distance of the tip from the target, after the command, m.
-        soft, stiff: residual with a stiffness a quarter lower and higher, m.
+        soft, stiff: residual with a stiffness a quarter lower and higher, m; None where all joints
+            have muscles in place of springs.
         drawn: residual with each draw of what the fit leaves open, m; empty without one.
         clearance: the least of any link, m; None where nothing stands around.
         closest: the same of the soft, the stiff and the drawn arms, m.
@@ -334,8 +67,8 @@ class Planned:
     settled: float | None
     residual: float
     missed: float
-    soft: float
-    stiff: float
+    soft: float | None
+    stiff: float | None
     drawn: Float[np.ndarray, " draw"]
     clearance: float | None
     closest: float | None
@@ -441,19 +174,25 @@ def plan_command(
             f"a joint is commanded to {np.rad2deg(worst):.3g} deg in the beginning or the end, and "
             f"{np.rad2deg(limits.angle):.3g} deg are allowed: allow more, or choose another pose"
         )
-    free = without_contact(arm)
-    tips = np.asarray(rest_tips(free, jnp.asarray(route, jnp.result_type(float))))
-    travel = float(np.linalg.norm(tips[-1] - tips[0]))
+    rests = [
+        found_rest(without_contact(arm), row, "where the command " + place)
+        for row, place in zip(route, ["begins", *["passes"] * (len(ways) - 1), "ends"], strict=True)
+    ]
+    if arm.contact is not None:
+        _clear_at_ends(arm, rests, limits)
+    begun, goal = (np.asarray(rest.tip) for rest in (rests[0], rests[-1]))
+    travel = float(np.linalg.norm(goal - begun))
     if not travel > 1e-6:
         raise InputError("the tip is where it is to go already: choose another target")
-    problem = _problem(arm, route, tips[-1], within * travel, limits, duration, knots)
+    problem = _problem(arm, route, rests[-1], within * travel, limits, duration, knots)
     if progress is not None:
         progress("looking for a command ...")
     y, steps = problem.solved(most_steps, progress)
     notes = _checked(problem, y, duration)
     last = problem.command(y)
     direct = _direct(route, limits.rate)
-    wrong = [softer(stated, 1 - WRONG).arm, softer(stated, 1 + WRONG).arm]
+    springs = _springs(arm, route, np.asarray(last.angles))
+    wrong = [softer(stated, 1 + by).arm for by in (-WRONG, WRONG)] if springs != "none" else []
     result = model if isinstance(model, FitResult) else None
     drawn = arms_left_open(stated, result, draw_count)
     arms = [arm, *wrong, *drawn]
@@ -461,11 +200,14 @@ def plan_command(
     if progress is not None:
         progress(f"looking at {len(arms)} arms ...")
     count = max(len(direct.times), len(last.times))
-    how: Any = {"goal": tips[-1], "near": within * travel, "period": period, "rows": count}
+    how: Any = {"goal": goal, "near": within * travel, "period": period, "rows": count}
     rows = [
-        _looked(name, command, arms, **how)
+        _moved(name, command, arms, len(wrong), **how)
         for name, command in (("direct", direct), ("planned", last))
     ]
+    target.check(arm, rows[1].tips)
+    if springs == "some":
+        notes.append("the columns of stiffness are of the springs: muscles are as they are stated")
     if lost := len(drawn) - min(len(row.drawn) for row in rows):
         notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")
     if steps >= most_steps:
@@ -473,11 +215,36 @@ def plan_command(
     notes += _doubts(rows[1], limits, within * travel)
     if result is not None and result.verdict.status == "inadequate":
         notes.append("the model of the fit is not adequate: the arm may move in another way")
-    kept = (rows[0], rows[1], tips[-1], travel, within, period, limits, steps, stated)
+    kept = (rows[0], rows[1], goal, travel, within, period, limits, steps, stated)
     return Plan(*kept, problem, tuple(notes))
 
 
-_OFF = 0.02  # m, of a clearance
+def _clear_at_ends(arm: Arm, rests: Sequence[Rest], limits: CommandLimits) -> None:
+    """Refuse a beginning or an end that is too near an obstacle: no way could mend it."""
+    assert arm.contact is not None
+    things = arm.contact.obstacles
+    for rest, where in ((rests[0], "begins"), (rests[-1], "ends")):
+        gaps = np.asarray(clearance(arm, jnp.asarray(rest.angles)))
+        link, box = np.unravel_index(np.argmin(gaps), gaps.shape)
+        gap, name = float(gaps[link, box]), things[owners(things)[box]].name
+        if gap < limits.clearance:
+            far = f"{gap:.2g} m from" if gap > 0 else f"{-gap:.2g} m within"
+            raise InputError(
+                f"where the command {where}, link {link + 1} is {far} {name}, and "
+                f"{limits.clearance:g} m are to be kept clear: choose another pose, or less "
+                "clearance"
+            )
+
+
+def _springs(arm: Arm, route: np.ndarray, angles: np.ndarray) -> str:
+    """Whether all, some or none of the joints that are commanded have springs."""
+    moved = np.ptp(np.concatenate([route, angles]), axis=0) > 1e-9
+    if arm.pneumatics is None:
+        return "all"
+    pulled = np.isin(np.arange(1, arm.count + 1), arm.pneumatics.joints) & moved
+    return "all" if not pulled.any() else "none" if np.array_equal(pulled, moved) else "some"
+
+
 _PRESSED = 1e-3  # of the largest pressure
 
 
@@ -506,14 +273,13 @@ def _doubts(row: Planned, limits: CommandLimits, near: float) -> list[str]:
 def _problem(
     arm: Arm,
     route: np.ndarray,
-    goal: np.ndarray,
+    rest: Rest,
     near: float,
     limits: CommandLimits,
     duration: float | None,
     knots: int,
 ) -> PlanProblem:
     dtype = jnp.result_type(float)
-    rest = found_rest(without_contact(arm), route[-1])
     frequencies, shapes = rest.modes()
     legs = np.diff(route, axis=0)
     by_angles, by_command = np.asarray(rest.by_angles), np.asarray(rest.by_command)
@@ -534,12 +300,12 @@ def _problem(
         )
     base = direct.at(np.linspace(0.0, least, knots + 1))
     period, pressure = 2 * np.pi / frequencies[0], limits.pressure or np.inf
-    numbers = (goal, _INSIDE * near, period, limits.clearance + ROOM, pressure)
+    # What remembers is held elsewhere than by the command of its pose alone, and creeps.
+    remembers = arm.further_laws.rows > 0
+    after = (_LATER if remembers else 1) * period
+    numbers = (rest.tip, _INSIDE * near, period, after, limits.clearance + ROOM, pressure)
     rows: Any = [jnp.asarray(each, dtype) for each in (base, moves, *numbers)]
-    task = _Task(arm, *rows)
-    # What remembers is held elsewhere than by the command of its pose alone.
-    free_end = arm.further_laws.rows > 0
-    return PlanProblem(task, limits, _MARGIN * least, duration, free_end)
+    return PlanProblem(Task(arm, *rows), limits, _MARGIN * least, duration, remembers)
 
 
 _MARGIN = 1 + 1e-6  # of rounding
@@ -556,15 +322,15 @@ def _direct(route: np.ndarray, rate: float) -> Command:
 def _checked(problem: PlanProblem, y: np.ndarray, duration: float | None) -> list[str]:
     """Notes on a solution (`InputError`: it does not keep to the limits)."""
     kept = problem.values(np.concatenate([y[:-2], np.zeros(2)]))
-    if np.min(kept) <= -_LOST / 2:
+    if np.min(kept) <= -LOST / 2:
         raise InputError(
             "the motion of the arm cannot be simulated on the way there: choose a nearer target, "
             "or a lower rate"
         )
-    clear = 0 if problem.task.arm.contact is None else _DURING + _AFTER
-    missing = -_GAP * float(np.min(kept[_AFTER : _AFTER + clear], initial=0.0)) - ROOM
-    pressed = -_SHARE * float(np.min(kept[_AFTER + clear :], initial=0.0))
-    if missing > _OFF or pressed > _PRESSED:
+    clear = 0 if problem.task.arm.contact is None else DURING + AFTER
+    missing = -GAP * float(np.min(kept[AFTER : AFTER + clear], initial=0.0)) - ROOM
+    pressed = -SHARE * float(np.min(kept[AFTER + clear :], initial=0.0))
+    if missing > NEARER or pressed > _PRESSED:
         what = f"a link comes {missing:.2g} m nearer to what stands around it than it may"
         if pressed > _PRESSED:
             what = f"a muscle needs {1 + pressed:.2f} times the largest pressure"
@@ -572,8 +338,8 @@ def _checked(problem: PlanProblem, y: np.ndarray, duration: float | None) -> lis
             f"no command is found that keeps to the limits ({what}): allow more, or go there in "
             "two moves"
         )
-    off = float(1 - np.min(kept[:_AFTER]))
-    if off <= 1 + _SLACK:
+    off = float(1 - np.min(kept[:AFTER]))
+    if off <= 1 + SLACK:
         return []
     if duration is None:
         muscles = problem.task.arm.pneumatics is not None
@@ -603,18 +369,19 @@ def _flights(cases: Flight, around: Arm) -> tuple[Array, ...]:
     return jax.lax.map(one, cases)
 
 
-def _looked(
+def _moved(
     name: str,
     command: Command,
     arms: Sequence[Arm],
+    wrong: int,
     *,
     goal: np.ndarray,
     near: float,
     period: float,
     rows: int,
 ) -> Planned:
-    """What arms do by a command (of so many rows): as it is, soft, stiff, and the drawn ones."""
-    times = settling_times(float(command.times[-1]), 3 * period)
+    """What arms do by a command (of so many rows): as stated, some with wrong stiffness, drawn."""
+    times = settling_times(float(command.times[-1]), _LATER * period)
     signal, stamps = command.signal(rows), jnp.asarray(times)
     cases = [Flight(without_contact(each), signal, stamps, jnp.asarray(_FINAL)) for each in arms]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *cases)
@@ -627,15 +394,16 @@ def _looked(
     from_rest = np.linalg.norm(tips - rests[:, None], axis=2)
     left = np.where(successful, np.max(from_rest[:, UNTIL:], axis=1), np.inf)
     sound = np.flatnonzero(successful)
-    sound = sound[sound >= 3]
+    sound = sound[sound > wrong]
+    soft, stiff = map(float, left[1 : 1 + wrong]) if wrong else (None, None)
     return Planned(
         name=name,
         command=command,
         settled=settled_at(times, from_rest[0], near),
         residual=float(left[0]),
         missed=float(np.max(np.linalg.norm(tips[0, UNTIL:] - goal, axis=1))),
-        soft=float(left[1]),
-        stiff=float(left[2]),
+        soft=soft,
+        stiff=stiff,
         drawn=left[sound],
         clearance=None if arms[0].contact is None else float(gaps[0]),
         closest=None if arms[0].contact is None else float(np.min(gaps)),

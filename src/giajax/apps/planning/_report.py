@@ -37,10 +37,10 @@ def plan_rows(found: Plan) -> list[tuple[Any, ...]]:
             float(row.command.times[-1]),
             row.settled,
             *(
-                100 * size / found.travel
+                None if size is None else 100 * size / found.travel
                 for size in (row.missed, row.residual, row.soft, row.stiff)
             ),
-            100 * float(np.percentile(row.drawn, 95)) / found.travel if len(row.drawn) else None,
+            100 * float(np.percentile(row.drawn, 95)) / found.travel if _banded(row) else None,
             row.clearance,
         )
         for row in (found.direct, found.planned)
@@ -81,8 +81,13 @@ def plan_facts(found: Plan) -> dict[str, Any]:
     }
 
 
-def _finite(size: float) -> float | None:
-    return size if np.isfinite(size) else None
+def _finite(size: float | None) -> float | None:
+    return size if size is not None and np.isfinite(size) else None
+
+
+def _banded(row: Planned) -> bool:
+    """Whether draws have a spread."""
+    return len(row.drawn) > 1
 
 
 def path_columns(found: Plan) -> dict[str, np.ndarray]:
@@ -93,7 +98,7 @@ def path_columns(found: Plan) -> dict[str, np.ndarray]:
     columns: dict[str, np.ndarray] = {"time_s": row.times}
     for k, axis in enumerate("xyz"):
         columns[f"tip_{axis}_m"] = row.tips[:, k]
-        if len(row.drawn_tips):
+        if _banded(row):
             low, high = np.percentile(row.drawn_tips[:, :, k], (2.5, 97.5), axis=0)
             columns |= {f"tip_{axis}_low_m": low, f"tip_{axis}_high_m": high}
     return columns
@@ -140,7 +145,7 @@ def _distance(panel: Axes, found: Plan, row: Planned, colour: str) -> None:
     def off(tips: np.ndarray) -> np.ndarray:
         return np.asarray(np.linalg.norm(tips - found.goal, axis=-1))
 
-    if len(row.drawn_tips):
+    if _banded(row):
         low, high = np.percentile(off(row.drawn_tips), (2.5, 97.5), axis=0)
         panel.fill_between(row.times, low, high, color=colour, alpha=0.2, lw=0)
     panel.plot(row.times, off(row.tips), color=colour, label=row.name)

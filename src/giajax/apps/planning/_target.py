@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -47,6 +48,19 @@ class CommandLimits:
             raise InputError(f"the clearance is {self.clearance:g} m: give a number of at least 0")
 
 
+Looked = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+def kept_last(look: Looked) -> Looked:
+    """A function of unknowns that keeps its last values and slopes: optimisers ask for each."""
+
+    @functools.lru_cache(maxsize=1)
+    def known(raw: bytes) -> tuple[np.ndarray, np.ndarray]:
+        return look(np.frombuffer(raw))
+
+    return lambda unknown: known(np.asarray(unknown, dtype=float).tobytes())
+
+
 def headroom(arm: Arm, command: Array, most: Array) -> Array:
     """What muscles are below a pressure (Pa) under a command (rad), as a share, of each."""
     assert arm.pneumatics is not None
@@ -70,6 +84,9 @@ class AbstractTarget(abc.ABC):
         Raises:
             InputError: it cannot be reached.
         """
+
+    def check(self, arm: Arm, tips: Float[np.ndarray, "sample 3"]) -> None:  # noqa: B027
+        """Refuse a way of the tip (m) that is not the one that was asked for: none by default."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,6 +148,20 @@ class Through(AbstractTarget):
             ways.append(near)
         return np.stack(ways)
 
+    def check(self, arm: Arm, tips: Float[np.ndarray, "sample 3"]) -> None:
+        """Refuse a way that does not cross the face of the wall within the opening."""
+        opening = opening_of(arm, self.wall)
+        local = (np.asarray(tips) - np.asarray(opening.centre)) @ np.asarray(opening.frame)
+        inwards = np.flatnonzero((local[:-1, 0] > 0) & (local[1:, 0] <= 0))
+        for one, other in zip(local[inwards], local[inwards + 1], strict=True):
+            place = one + (other - one) * one[0] / (one[0] - other[0])
+            if np.all(np.abs(place[1:]) < np.asarray(opening.half)):
+                return
+        raise InputError(
+            "the way that is found does not go through the opening: begin before the wall, or "
+            "approach it from nearer poses"
+        )
+
 
 ROOM = 0.03  # m, of clearance between the times at which a motion is looked at
 _OFF = 0.01  # of a tip that is where it is to be, m
@@ -152,15 +183,11 @@ def commands_reaching(
     """
     goal, kept = (jnp.asarray(each, jnp.result_type(float)) for each in (place, near))
     most = jnp.asarray(limits.pressure or np.inf, kept.dtype)
-    known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
+    @kept_last
     def looked(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        key = angles.tobytes()
-        if key not in known:
-            known.clear()
-            values, slopes = _at_rest(arm, jnp.asarray(angles, kept.dtype), goal, most)
-            known[key] = np.nan_to_num(np.asarray(values)), np.nan_to_num(np.asarray(slopes))
-        return known[key]
+        values, slopes = _at_rest(arm, jnp.asarray(angles, kept.dtype), goal, most)
+        return np.nan_to_num(np.asarray(values)), np.nan_to_num(np.asarray(slopes))
 
     free = limits.clearance + 2 * ROOM if arm.contact is not None else 0.0
     margin = np.concatenate([np.full(3, 0.0), *_margins(arm, limits, free)])
