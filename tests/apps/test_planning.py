@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ from giajax.apps.planning import (
     plan_command,
 )
 from giajax.cli import main
-from giajax.mechanics.arm import acceleration, clearance, takeichi_20m, tip_position
+from giajax.mechanics.arm import Contact, acceleration, clearance, takeichi_20m, tip_position
+from giajax.mechanics.obstacles import Box, WallWithOpening
 
 LINKS = 3
 POSE = np.deg2rad([20.0, 10.0, 0.0])
@@ -36,11 +38,11 @@ def fastest():
     return plan_command(ArmModel(arm()), Pose(POSE), begin=BEGIN, limits=LIMITS)
 
 
-def tips_by(arm, command, times, initial):
+def tips_by(arm, command, times, initial, solver="tsit5", tolerance=1e-8):
     """By another integrator, closer."""
     motion = simulate(
         arm, command.signal(len(command.times)), times, initial=(initial, np.zeros(arm.count)),
-        solver="tsit5", rtol=1e-8, atol=1e-8,
+        solver=solver, rtol=tolerance, atol=tolerance,
     )  # fmt: skip
     return np.stack([np.asarray(tip_position(arm, each)) for each in motion.angles])
 
@@ -171,6 +173,73 @@ def test_muscles_stay_below_their_pressure():
     assert pressures[1] <= 31.45e3 * (1 + 1e-3)
 
 
+BOX = Box([3.72, 0.0, 0.0], [1.0, 2.0, 1.0], name="shelf")
+
+
+def beside(arm, *things):
+    return dataclasses.replace(arm, contact=Contact(things))
+
+
+@pytest.mark.slow
+def test_a_link_is_bent_to_keep_clear_of_what_the_direct_way_is_too_near():
+    """The outstretched arm passes a box at 0.1 m."""
+    begin, pose = np.deg2rad([[-20.0, 0.0, 0.0], [20.0, 0.0, 0.0]])
+    around = beside(arm(), BOX)
+    found = plan_command(ArmModel(around), Pose(pose), begin=begin, limits=LIMITS, draw_count=0)
+    assert found.direct.clearance < LIMITS.clearance - 0.05
+    command = found.planned.command
+    times = np.linspace(0.0, 1.2 * command.times[-1], 400)
+    motion = simulate(
+        arm(), command.signal(len(command.times)), times, solver="tsit5", rtol=1e-8, atol=1e-8,
+        initial=(found.planned.angles[0], np.zeros(LINKS)),
+    )  # fmt: skip
+    gaps = jax.vmap(lambda each: clearance(around, each))(motion.angles)
+    assert float(jnp.min(gaps)) > LIMITS.clearance - 0.01
+    assert found.planned.clearance == pytest.approx(float(jnp.min(gaps)), abs=0.02)
+    # It bends a joint that is straight in the beginning and in the end.
+    assert np.max(np.abs(command.angles[:, 2])) > np.deg2rad(10)
+
+
+def test_ends_too_near_an_obstacle_are_refused_by_its_name():
+    model = ArmModel(beside(arm(), BOX))
+    near = np.deg2rad([20.0, 0.0, 0.0])
+    for begin, pose, where in ((0 * near, near, "begins"), (near, 0 * near, "ends")):
+        with pytest.raises(InputError, match=f"where the command {where}, link 3 is .* from shelf"):
+            plan_command(model, Pose(pose), begin=begin)
+    inside = ArmModel(beside(arm(), dataclasses.replace(BOX, centre=jnp.array([3.2, 0.0, 0.0]))))
+    with pytest.raises(InputError, match=r"link 3 is 0\.28 m within shelf"):
+        plan_command(inside, Pose(near))
+
+
+def test_a_way_past_the_opening_is_refused():
+    # Its outer face is towards the base.
+    wall = WallWithOpening([2.0, 0.0, 0.0], [1.0, 1.0], [4.0] * 4, 0.2, [0.0, 0.0, np.pi])
+    around, target = beside(arm(), wall), Through()
+    x = np.linspace(0.0, 3.0, 20)
+    ways = {side: np.stack([x, side + 0 * x, 0 * x], axis=1) for side in (0.4, 0.6)}
+    target.check(around, ways[0.4])
+    for tips in (ways[0.6], ways[0.4][:5], ways[0.4][::-1]):
+        with pytest.raises(InputError, match="does not go through the opening"):
+            target.check(around, tips)
+
+
+@pytest.mark.long
+def test_joints_that_remember_stay_near_for_three_periods():
+    memory = {"joints.memory.strength": 0.06, "joints.memory.yield_angle": 0.001}
+    remembers = arm(parameters=memory)
+    found = plan_command(ArmModel(remembers), Pose(POSE), limits=LIMITS, draw_count=0)
+    assert not found.notes
+    command = found.planned.command
+    end = command.times[-1]
+    times = np.concatenate([[0.0], end + np.linspace(0, 3 * found.period, 300)])
+    tips = tips_by(remembers, command, times, found.planned.angles[0], "springs5", 1e-7)
+    off = np.linalg.norm(tips[1:] - found.goal, axis=1)
+    assert np.max(off) <= 1.1 * found.within * found.travel
+    assert found.direct.missed > 5 * found.planned.missed
+    # The pose is not held by its own command.
+    assert np.max(np.abs(command.angles[-1] - POSE)) > np.deg2rad(0.1)
+
+
 @pytest.mark.long
 def test_the_paper_s_arm_goes_through_the_opening():
     """Clear of the housetop by a simulation of its own, and much sooner than directly."""
@@ -261,6 +330,42 @@ def test_a_plan_is_written_as_a_run_that_the_arm_follows(tmp_path, monkeypatch, 
         np.testing.assert_allclose(rehearsed.values[f"tip_{axis}"], expected, atol=2e-3)
     assert main(["plan", *words, "--out", "planned"]) == 2
     assert "is not written over" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_fit_gives_bands_and_its_values_to_the_command(tmp_path, monkeypatch, capsys):
+    """Drives that lag; the rehearsal has nothing but the written command and its sidecar."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.toml").write_text(f'{FILE}\n[arm.parameters]\n"joints.drive_lag" = 0.3\n')
+    rows = ["time_s,joint01_command_deg,joint02_command_deg"]
+    rows += [f"{t:g},{10 * min(t, 1):g},{6 * math.sin(2 * t):g}" for t in np.arange(0, 12, 0.1)]
+    (tmp_path / "moved.csv").write_text("\n".join(rows))
+    truth = ["--model", "arm.toml", "--set", "joints.pitch_stiffness=2.4"]
+    seen = ["--channels", "tip_y", "--channels", "tip_z", "--noise", "position_m=0.02"]
+    assert main(["synth", "--data", "moved.csv", *truth, *seen, "--to", "run.csv"]) == 0
+    free = ["--free", "joints.pitch_stiffness", "--free", "air.drag_coefficient"]
+    quick = ["--no-suspects", "--no-figures", "--quiet"]
+    assert main(["fit", "--data", "run.csv", *free, *quick, "--out", "fit"]) == 0
+    capsys.readouterr()
+    words = ["--model", "fit", "--tip", "2.6,0.5,0.7", "--max-angle-rate", "8", "--draws", "8"]
+    assert main(["plan", *words, "--out", "planned", "--json", "--quiet"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    np.testing.assert_allclose(facts["goal_m"], [2.6, 0.5, 0.7], atol=1e-4)
+    assert len(facts["commands"][1]["residual_drawn_m"]) == 8
+    path = np.genfromtxt("planned/path.csv", delimiter=",", names=True)
+    assert np.all(path["tip_z_low_m"] < path["tip_z_high_m"])
+    run = read_run("planned/command.csv")
+    fitted = json.loads((tmp_path / "fit" / "result.json").read_text())["parameters"]
+    stated = ArmModel.stated_in(run.definition).arm
+    stiffness = fitted["joints.pitch_stiffness"]["value"]
+    assert stiffness == pytest.approx(2.4, rel=0.05)
+    assert float(stated.joints.pitch_stiffness) == pytest.approx(stiffness, rel=1e-12)
+    to = ["--channels", "tip_z", "--to", "rehearsal.csv", "--quiet"]
+    assert main(["synth", "--data", "planned/command.csv", *to]) == 0
+    rehearsed = read_run("rehearsal.csv")
+    expected = np.interp(rehearsed.times, path["time_s"], path["tip_z_m"])
+    np.testing.assert_allclose(rehearsed.values["tip_z"], expected, atol=2e-3)
+    assert "--json" not in (tmp_path / "planned" / "command.toml").read_text()
 
 
 @pytest.mark.parametrize(

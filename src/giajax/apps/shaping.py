@@ -200,7 +200,10 @@ class Mode:
     swing: float
 
 
-@program
+@functools.partial(
+    program,
+    like=lambda arm, moved, command, mass: jax.ShapeDtypeStruct(moved[0].shape[:1], mass.dtype),
+)
 def _dissipated(arm: Arm, moved: tuple[Array, Array], command: Array, mass: Array) -> Array:
     """Power that moving costs an arm at rows of angles and rates, W."""
 
@@ -269,7 +272,13 @@ def _damping(
 _TUNING, _FINAL = 1e-4, 1e-5  # tolerances: of a millimetre, and of a tenth of that
 
 
-@program
+@functools.partial(
+    program,
+    like=lambda flights: (
+        jax.ShapeDtypeStruct(flights.times.shape, flights.times.dtype),
+        jax.ShapeDtypeStruct(flights.times.shape[:1], bool),
+    ),
+)
 def _moved(flights: Flight) -> tuple[Array, Array]:
     """Distance of the tip from where it comes to rest, m, and whether it was simulated."""
     return jax.lax.map(_moved_one, flights)
@@ -419,7 +428,10 @@ def shape_command(
     return Shaping(tuple(rows), tuple(worth), travel, tuple(notes))
 
 
-@program
+@functools.partial(
+    program,
+    like=lambda arm, commanded: jax.ShapeDtypeStruct((len(commanded), 3), commanded.dtype),
+)
 def _rest_tips(arm: Arm, commanded: Array) -> Array:
     """Where the tip is at rest by each row of commanded angles, m."""
 

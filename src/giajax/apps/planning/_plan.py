@@ -1,6 +1,7 @@
 """Plans: what a command is to do, the search for it, and what arms do by it."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -245,13 +246,14 @@ def _springs(arm: Arm, route: np.ndarray, angles: np.ndarray) -> str:
     return "all" if not pulled.any() else "none" if np.array_equal(pulled, moved) else "some"
 
 
+_SAME = 1.01  # between the times that are looked at
 _PRESSED = 1e-3  # of the largest pressure
 
 
 def _doubts(row: Planned, limits: CommandLimits, near: float) -> list[str]:
     """Notes on what arms do by the planned command (`InputError`: a link meets something)."""
     notes = []
-    if row.missed > near:
+    if row.missed > _SAME * near:
         notes.append(
             f"within three slowest periods after the command the tip is up to {row.missed:.2g} m "
             f"from the target, and {near:.2g} m are allowed: joints that remember may creep on"
@@ -355,7 +357,18 @@ def _checked(problem: PlanProblem, y: np.ndarray, duration: float | None) -> lis
     ]
 
 
-@program
+def _flights_like(cases: Flight, around: Arm) -> tuple[Any, ...]:
+    count, samples = cases.times.shape
+    dtype, joints = cases.times.dtype, around.count
+    shapes = ((samples, joints), (samples, 3), (3,), (), ())
+    dtypes = (dtype, dtype, dtype, bool, dtype)
+    return tuple(
+        jax.ShapeDtypeStruct((count, *shape), kind)
+        for shape, kind in zip(shapes, dtypes, strict=True)
+    )
+
+
+@functools.partial(program, like=_flights_like)
 def _flights(cases: Flight, around: Arm) -> tuple[Array, ...]:
     """Angles, tips, rests, whether they were simulated, and the least clearance of each."""
 

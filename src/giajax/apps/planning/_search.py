@@ -10,8 +10,9 @@ forward differentiation. Slack that costs makes every start feasible (Nocedal an
 Optimization, chapter 18.5).
 """
 
+import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -110,7 +111,17 @@ def _kept(task: Task, unknown: Array) -> Array:
     return jnp.concatenate(rows)
 
 
-@program
+def _values_like(task: Task, unknown: Array) -> tuple[Any, Any]:
+    rows = AFTER
+    if task.arm.contact is not None:
+        rows += DURING + AFTER
+    if task.arm.pneumatics is not None:
+        rows += 2 * task.base.size
+    values = jax.ShapeDtypeStruct((rows,), unknown.dtype)
+    return values, jax.ShapeDtypeStruct((rows, len(unknown)), unknown.dtype)
+
+
+@functools.partial(program, like=_values_like)
 def _values(task: Task, unknown: Array) -> tuple[Array, Array]:
     """What is kept, and its slopes by the unknowns: one program for both."""
 
