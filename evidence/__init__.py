@@ -21,6 +21,7 @@ from ._missions import MISSIONS
 from ._noise import NOISE
 from ._omissions import OMISSIONS
 from ._page import PAGE as PAGE, page as page
+from ._plans import PLANS
 from ._posterior import POSTERIOR
 from ._profile import PROFILE
 from ._record import (
@@ -56,6 +57,7 @@ _ALL = (
     DESIGN,
     MISSIONS,
     SHAPING,
+    PLANS,
     TRACKING,
     LEAKS,
 )

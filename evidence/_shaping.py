@@ -55,15 +55,10 @@ def part(size: int, seed: int) -> Figures:
 
 def _arm(number: int, rng: np.random.Generator, links: int) -> dict[str, dict[str, list[float]]]:
     """By duration and shaper: residuals in % of the travel, the worse of both wrong ones, and s."""
-    from giajax import ArmModel, replace, takeichi_20m_full
+    from giajax import ArmModel
     from giajax.apps.shaping import Command, modes_after, shape_command
 
-    parameters: Any = MEMORY if number % 4 == 3 else None
-    arm = takeichi_20m_full(links, parameters=parameters)
-    drawn = {path: np.exp(deviation * rng.normal()) for path, deviation in SPREAD.items()}
-    drawn["joints.yaw_stiffness"] = drawn["joints.pitch_stiffness"]
-    values = {path: _value(arm, path) * factor for path, factor in drawn.items()}
-    arm = replace(arm, values)
+    arm = drawn_arm(links, MEMORY if number % 4 == 3 else None, rng)
     angles = np.zeros((2, links))
     angles[1, 0] = np.deg2rad(rng.uniform(*ANGLES)) * rng.choice([-1, 1])
     period = modes_after(arm, Command(np.array([0.0, 0.01]), angles))[0].period
@@ -80,6 +75,16 @@ def _arm(number: int, rng: np.random.Generator, links: int) -> dict[str, dict[st
             for row in shaping.rows
         }
     return found
+
+
+def drawn_arm(links: int, parameters: Any, rng: np.random.Generator) -> Any:
+    """The paper's arm in full air, with stiffness, drag and damping drawn."""
+    from giajax import replace, takeichi_20m_full
+
+    arm = takeichi_20m_full(links, parameters=parameters)
+    drawn = {path: np.exp(deviation * rng.normal()) for path, deviation in SPREAD.items()}
+    drawn["joints.yaw_stiffness"] = drawn["joints.pitch_stiffness"]
+    return replace(arm, {path: _value(arm, path) * factor for path, factor in drawn.items()})
 
 
 def _value(arm: Any, path: str) -> Any:
