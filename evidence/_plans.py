@@ -157,7 +157,7 @@ PLANS = Study(
         "largest rate, with the same command shaped, and by `giajax plan`; and what is left of the "
         "swing with a stiffness that is a quarter off."
     ),
-    size=12,
+    size=6,
     seed=1,
     run=run,
     disagreements=disagreements,

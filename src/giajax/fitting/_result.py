@@ -11,11 +11,17 @@ from typing import TYPE_CHECKING, Any, cast
 import jax
 import numpy as np
 
-from ..models import AbstractModel, ArmModel, Channels, as_stated, build_model, capabilities
+from ..models import (
+    AbstractModel,
+    ArmModel,
+    as_stated,
+    build_model,
+    capabilities,
+    predicted_channels,
+)
 from ..noise import Verdict
 from ..recordings import SCHEMA_VERSION, Run, stored_result
 from ..runtime.plugins import check_sources, hint
-from ..runtime.programs import program
 from ..runtime.records import from_plain, json_text
 from ..runtime.text import InputError, ShownAsTable
 from ..schema import ARM
@@ -117,11 +123,6 @@ def _plain_dict(names: tuple[str, ...], values: Iterable[Any]) -> Any:
 jax.tree_util.register_pytree_with_keys(PredictedRun, _flattened, _plain_dict)
 
 
-@program
-def _predict(model: AbstractModel, inputs: object, channels: tuple[str, ...]) -> Channels:
-    return model.predict(inputs, channels)[0]
-
-
 def predict(
     model: AbstractModel,
     run: Run,
@@ -148,8 +149,7 @@ def predict(
     """
     model = as_stated(model, run, without)
     names = tuple(run.observations if channels is None else channels)
-    predicted = _predict(model, model.prepare(run), names)
-    return PredictedRun(run, {name: np.asarray(predicted[name]) for name in names})
+    return PredictedRun(run, predicted_channels(model, model.prepare(run), names, run)[0])
 
 
 def prediction_errors(

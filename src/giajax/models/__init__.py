@@ -59,6 +59,7 @@ from ._protocol import (
     model_class as model_class,
     model_for as model_for,
     parameter_values as parameter_values,
+    predicted_channels as predicted_channels,
 )
 from ._scenes import (
     arm_scene as arm_scene,

@@ -2,17 +2,21 @@
 
 import abc
 import dataclasses
+import functools
 import re
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any, ClassVar, Self
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..recordings import Definition, Run, upgraded
 from ..runtime.arrays import Array, Bool, Float
 from ..runtime.plugins import made_by_default, optional, registered
+from ..runtime.programs import program
 from ..runtime.text import InputError, ShownAsTable, one_of
 from ..schema import KINDS, ChannelKind, Kind, Section, add_kind
 from ..schema.parameters import declared, parameter_rows, replace
@@ -231,6 +235,39 @@ class AbstractModel(ShownAsTable, eqx.Module):
             if isinstance(part, ShownAsTable):
                 rows |= {row[0]: row[1] for row in part._table()[2]}
         return type(self).__name__, ("", ""), list({**rows, **parameter_rows(self)}.items())
+
+
+def _table_like(
+    model: AbstractModel, inputs: Any, channels: tuple[str, ...], samples: int
+) -> tuple[Any, Any]:
+    del model, inputs
+    table = jax.ShapeDtypeStruct((samples, len(channels)), jnp.result_type(float))
+    return table, jax.ShapeDtypeStruct((), bool)
+
+
+@functools.partial(program, like=_table_like)
+def _table_of(
+    model: AbstractModel, inputs: Any, channels: tuple[str, ...], samples: int
+) -> tuple[Array, Array]:
+    predicted, successful = model.predict(inputs, channels)
+    columns = [predicted[channel] for channel in channels]
+    return jnp.stack(columns, axis=1) if columns else jnp.zeros((samples, 0)), successful
+
+
+def predicted_channels(
+    model: AbstractModel, inputs: Any, channels: tuple[str, ...], run: Run
+) -> tuple[dict[str, Float[np.ndarray, " sample"]], bool]:
+    """Channels (SI) that a model predicts for a run, and whether that succeeded.
+
+    There is one program for all that predict, whose traced form is kept between processes.
+
+    Arguments:
+        inputs: the prepared run.
+    """
+    samples = len(next(iter(run.values.values())))
+    table, successful = _table_of(model, inputs, channels, samples)
+    columns = np.array(table).T
+    return dict(zip(channels, columns, strict=True)), bool(successful)
 
 
 def model_class(kind: str) -> Any:

@@ -189,10 +189,9 @@ def plan_command(
     if progress is not None:
         progress("looking for a command ...")
     y, steps = problem.solved(most_steps, progress)
-    notes = _checked(problem, y, duration)
-    last = problem.command(y)
+    _check(problem, y, duration)
     direct = _direct(route, limits.rate)
-    springs = _springs(arm, route, np.asarray(last.angles))
+    springs = _springs(arm, route, problem.command(y).angles)
     wrong = [softer(stated, 1 + by).arm for by in (-WRONG, WRONG)] if springs != "none" else []
     result = model if isinstance(model, FitResult) else None
     drawn = arms_left_open(stated, result, draw_count)
@@ -200,20 +199,27 @@ def plan_command(
     period = float(problem.task.period)
     if progress is not None:
         progress(f"looking at {len(arms)} arms ...")
-    count = max(len(direct.times), len(last.times))
-    how: Any = {"goal": goal, "near": within * travel, "period": period, "rows": count}
-    rows = [
-        _moved(name, command, arms, len(wrong), **how)
-        for name, command in (("direct", direct), ("planned", last))
-    ]
+    how: Any = {"goal": goal, "near": within * travel, "period": period}
+    how["rows"] = max(len(direct.times), knots + 1)
+    rows = [_moved("direct", direct, arms, len(wrong), **how)]
+    nearness = 1.0
+    for again in range(_ROUNDS):
+        rows[1:] = [_moved("planned", problem.command(y), arms, len(wrong), **how)]
+        over = rows[1].missed / (within * travel)
+        if duration is not None or over <= 1 or again == _ROUNDS - 1 or steps >= most_steps:
+            break
+        # What comes between the times of the search, and after them, by so much nearer.
+        nearness *= _FURTHER / over
+        y, more = problem.closer(nearness, y).solved(most_steps - steps, progress)
+        steps += more
     target.check(arm, rows[1].tips)
+    notes = _doubts(rows[1], limits, within * travel, duration)
     if springs == "some":
         notes.append("the columns of stiffness are of the springs: muscles are as they are stated")
     if lost := len(drawn) - min(len(row.drawn) for row in rows):
         notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")
     if steps >= most_steps:
         notes.append(f"the search was ended after {steps} steps: more may find a better command")
-    notes += _doubts(rows[1], limits, within * travel)
     if result is not None and result.verdict.status == "inadequate":
         notes.append("the model of the fit is not adequate: the arm may move in another way")
     kept = (rows[0], rows[1], goal, travel, within, period, limits, steps, stated)
@@ -246,17 +252,19 @@ def _springs(arm: Arm, route: np.ndarray, angles: np.ndarray) -> str:
     return "all" if not pulled.any() else "none" if np.array_equal(pulled, moved) else "some"
 
 
-_SAME = 1.01  # between the times that are looked at
+_ROUNDS = 4  # of a search, each of which keeps nearer than the one before came
+_FURTHER = 0.99
 _PRESSED = 1e-3  # of the largest pressure
 
 
-def _doubts(row: Planned, limits: CommandLimits, near: float) -> list[str]:
+def _doubts(row: Planned, limits: CommandLimits, near: float, duration: float | None) -> list[str]:
     """Notes on what arms do by the planned command (`InputError`: a link meets something)."""
     notes = []
-    if row.missed > _SAME * near:
+    if row.missed > near:
+        why = "joints that remember may creep on" if duration is None else "give it longer"
         notes.append(
-            f"within three slowest periods after the command the tip is up to {row.missed:.2g} m "
-            f"from the target, and {near:.2g} m are allowed: joints that remember may creep on"
+            f"within three slowest periods after the command the tip is up to {row.missed:.3g} m "
+            f"from the target, and {near:.3g} m are allowed: {why}"
         )
     if row.clearance is None or row.closest is None:
         return notes
@@ -321,8 +329,8 @@ def _direct(route: np.ndarray, rate: float) -> Command:
     return Command(np.concatenate([[0.0], np.cumsum(spans)])[kept], route[kept])
 
 
-def _checked(problem: PlanProblem, y: np.ndarray, duration: float | None) -> list[str]:
-    """Notes on a solution (`InputError`: it does not keep to the limits)."""
+def _check(problem: PlanProblem, y: np.ndarray, duration: float | None) -> None:
+    """Refuse a solution that does not keep to the limits."""
     kept = problem.values(np.concatenate([y[:-2], np.zeros(2)]))
     if np.min(kept) <= -LOST / 2:
         raise InputError(
@@ -341,20 +349,14 @@ def _checked(problem: PlanProblem, y: np.ndarray, duration: float | None) -> lis
             "two moves"
         )
     off = float(1 - np.min(kept[:AFTER]))
-    if off <= 1 + SLACK:
-        return []
-    if duration is None:
+    if duration is None and off > 1 + SLACK:
         muscles = problem.task.arm.pneumatics is not None
         held = "; muscles may hold a joint at several angles, near 0 above all" if muscles else ""
         raise InputError(
             f"no command within the limits is found after which the tip stays near the target (at "
-            f"best {off:.2g} times as far as it may be{held}): allow larger angles or rates, or "
+            f"best {off:.3g} times as far as it may be{held}): allow larger angles or rates, or "
             "more knots"
         )
-    return [
-        f"the tip is {off:.2g} times as far from the target as it may be after {duration:g} s: "
-        "give it longer"
-    ]
 
 
 def _flights_like(cases: Flight, around: Arm) -> tuple[Any, ...]:

@@ -10,6 +10,7 @@ forward differentiation. Slack that costs makes every start feasible (Nocedal an
 Optimization, chapter 18.5).
 """
 
+import copy
 import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -26,7 +27,7 @@ from ...simulation import Signal
 from .._moves import Command, Flight
 from ._target import ROOM, CommandLimits, headroom, kept_last, without_contact
 
-DURING, AFTER = 40, 48  # samples of the motion while the command lasts, and after it
+DURING, AFTER = 40, 96  # samples of the motion while the command lasts, and after it
 _COEFFICIENT = 0.1  # rad, for each unknown
 GAP = 0.1  # m, of each unit of clearance that is missing
 SHARE = 0.01  # of the largest pressure, of each unit of it that is missing
@@ -178,6 +179,14 @@ class PlanProblem:
         if not len(self.values(self.start)) > AFTER:
             self.high[-1] = 0.0
 
+    def closer(self, share: float, y: np.ndarray) -> "PlanProblem":
+        """The problem of staying at this share of the distance, from unknowns on."""
+        new = copy.copy(self)
+        new.task = self.task._replace(near=self.task.near * share)
+        new._looked = kept_last(new._look)
+        new.start = new._with_slack(y)
+        return new
+
     def _with_slack(self, start: np.ndarray) -> np.ndarray:
         """A start that nothing forbids: slack for whatever is not kept."""
         start = np.concatenate([start[:-2], np.zeros(2)])
@@ -215,6 +224,11 @@ class PlanProblem:
         kept[:AFTER] += y[-2]
         kept[AFTER:] += y[-1]
         return kept
+
+    def kept(self, y: Array) -> Array:
+        """The same as JAX traces and differentiates it."""
+        kept = _kept(self.task, y[:-2])
+        return kept + jnp.where(jnp.arange(len(kept)) < AFTER, y[-2], y[-1])
 
     def slopes(self, y: np.ndarray) -> np.ndarray:
         """Of the values, by the unknowns."""
@@ -293,5 +307,5 @@ _LONGEST = 6.0  # of a command, in periods of the slowest mode
 LOST = 1e3  # of a constraint by a motion that could not be simulated
 _ENOUGH = 3e-4  # of the cost
 _EVERY = 5  # steps between two lines of progress
-SLACK = 0.02  # that is left of a plan that keeps to everything
+SLACK = 0.05  # of being near, that is left of a plan that keeps to everything
 NEARER = 0.02  # m, than the clearance: what is overlooked

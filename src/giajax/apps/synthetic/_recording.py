@@ -9,10 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ...mechanics.arm import Arm
-from ...models import AbstractModel, ArmModel, Channels, capabilities, preset_of
+from ...models import (
+    AbstractModel,
+    ArmModel,
+    capabilities,
+    predicted_channels,
+    preset_of,
+)
 from ...recordings import Definition, Run
-from ...runtime.arrays import Array, Bool, Float
-from ...runtime.programs import program
+from ...runtime.arrays import Float
 from ...runtime.text import InputError
 from ...schema import InitialSection
 from ...schema.parameters import default_free, get
@@ -264,10 +269,10 @@ def _predicted(
 ) -> tuple[dict[str, npt.NDArray[np.float64]], Any]:
     """Channels of a run, NaN where no experiment could record them, and the prepared run."""
     prepared = model.prepare(run)
-    predicted, successful = _compiled(model, prepared, channels)
+    predicted, successful = predicted_channels(model, prepared, channels, run)
     if not successful:
         raise SimulationError(capabilities.failure(model, prepared))
-    shown = {channel: np.array(predicted[channel], dtype=float) for channel in channels}
+    shown = {channel: predicted[channel].astype(float) for channel in channels}
     for channel, hidden in capabilities.unseen(model, prepared, channels).items():
         if channel in shown:
             shown[channel][hidden] = np.nan
@@ -278,13 +283,6 @@ def _constants(model: AbstractModel) -> dict[str, Any]:
     """What the model knows of itself that a sidecar can state."""
     known = {key: one for key, one in model.definition().items() if key in Definition.model_fields}
     return {**known, "model": model.kind}
-
-
-@program
-def _compiled(
-    model: AbstractModel, inputs: Any, channels: tuple[str, ...]
-) -> tuple[Channels, Bool[Array, ""]]:
-    return model.predict(inputs, channels)
 
 
 # What a sidecar says of one recording, and not of what was recorded.
