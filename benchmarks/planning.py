@@ -5,7 +5,8 @@ package uses: Levenberg-Marquardt of optimistix on what is not kept (its squares
 more: Nocedal and Wright, Numerical Optimization, chapter 17), scipy's trust-region interior point
 method, and where they are installed (`pip install qpax slsqp-jax`) steps of Gauss-Newton whose
 quadratic programmes qpax solves, and slsqp-jax. A command is as good as it is short, where it keeps
-to all limits. A search is timed a second time, without what is compiled, where the first is short.
+to all limits. A search is timed a second time where the first is short; those of JAX are compiled
+in each.
 
     python -m benchmarks.planning [--quick] [--out FILE]
 """

@@ -133,9 +133,9 @@ def table(figures: Figures) -> list[str]:
         "",
         f"{len(figures['arms']) - len(arms)} of {len(figures['arms'])} moves were refused. The "
         f"tip is within {NEAR:g} % of the travel of its target in "
-        f"{np.count_nonzero(np.array(missed) <= BESIDE * NEAR)} of {len(arms)} plans, off by "
-        f"{np.max(missed):.2f} % at the most; it is at rest in {np.median(sooner):.2f} of the time "
-        f"of the sooner one of the shaped commands (median; {np.max(sooner):.2f} at the most). "
+        f"{np.count_nonzero(np.array(missed) <= NEAR)} of {len(arms)} plans, off by "
+        f"{np.max(missed):.2f} % at the most; it is at rest in {np.nanmedian(sooner):.2f} of the "
+        f"time of the sooner one of the shaped commands (median; {np.nanmax(sooner):.2f} at the most). "
         '"Never" is not within three periods of the slowest mode after the command.',
         "",
         f"Drawn by the standard deviation of their logarithm: {drawn}; the angle of the base joint "
@@ -147,7 +147,7 @@ def table(figures: Figures) -> list[str]:
 def _sooner(commands: dict[str, Any]) -> float:
     """Time until the tip rests by the plan, over that of the sooner shaped command."""
     shaped = min(_or_never(commands[name]["settled_s"]) for name in SHAPERS)
-    return _or_never(commands["planned"]["settled_s"]) / shaped if np.isfinite(shaped) else 0.0
+    return _or_never(commands["planned"]["settled_s"]) / shaped if np.isfinite(shaped) else np.nan
 
 
 PLANS = Study(

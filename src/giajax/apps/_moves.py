@@ -167,7 +167,7 @@ def found_rest(arm: Arm, commanded: np.ndarray, where: str = "where the command 
     """
     rest = rest_at(arm, jnp.asarray(commanded, jnp.result_type(float)))
     if not rest.known:
-        raise InputError(f"no rest of the arm is found {where}: choose another pose there")
+        raise InputError(f"no rest of the arm is found {where}: choose other angles there")
     parts: Any = map(np.asarray, rest)
     return Rest(*parts)
 

@@ -250,8 +250,9 @@ def _table_of(
     model: AbstractModel, inputs: Any, channels: tuple[str, ...], samples: int
 ) -> tuple[Array, Array]:
     predicted, successful = model.predict(inputs, channels)
-    columns = [predicted[channel] for channel in channels]
-    return jnp.stack(columns, axis=1) if columns else jnp.zeros((samples, 0)), successful
+    columns = [jnp.asarray(predicted[channel], jnp.result_type(float)) for channel in channels]
+    table = jnp.stack(columns, axis=1) if columns else jnp.zeros((samples, 0))
+    return table, jnp.asarray(successful, bool)
 
 
 def predicted_channels(

@@ -6,6 +6,7 @@ starts are looked at, and the best few of them followed.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple, Protocol
@@ -319,7 +320,17 @@ def _shared(experiment: Experiment, command: Command) -> tuple[Any, ...]:
     )
 
 
-@program
+def _informed_like(
+    draws: Array, bodies: Array, arrays: tuple[Any, ...], model: Any, moving: Any, names: Any
+) -> tuple[Any, ...]:
+    del model, moving
+    size, (count, channels) = _size(names), bodies.shape
+    table = (1, len(arrays[-1].times), channels)
+    shapes = (((1, count, size, size), draws.dtype), (table, draws.dtype), ((1,), bool))
+    return tuple(jax.ShapeDtypeStruct(*each) for each in shapes)
+
+
+@functools.partial(program, like=_informed_like)
 def _informed(
     draws: Float[Array, "1 parameter"],
     bodies: Float[Array, "body channel"],
@@ -340,7 +351,12 @@ def _informed(
     return found[None], (table / arrays[3][None])[None], successful[None]
 
 
-@program
+def _slopes_like(items: tuple[Array, ...], counts: Array, arrays: Any, *rest: Any) -> Any:
+    del counts, rest
+    return jax.ShapeDtypeStruct((1, *arrays[0].shape), items[0].dtype)
+
+
+@functools.partial(program, like=_slopes_like)
 def _slopes(
     items: tuple[Array, Array, Array],
     counts: Float[Array, " channel"],
@@ -393,7 +409,13 @@ def _recorded(
         columns = jnp.stack([predicted[name] for name in channels], axis=-1)
         return columns * weights[None], successful
 
-    return recorded, len(paths) + sum(each for _, each in own)
+    return recorded, _size(names)
+
+
+def _size(names: tuple[Any, ...]) -> int:
+    """How many numbers are free."""
+    paths, own, *_ = names
+    return len(paths) + sum(each for _, each in own)
 
 
 _WORSE = 3.0  # what a command that cannot be simulated is worse by than the best one, in logarithms

@@ -52,8 +52,8 @@ class Planned:
             not within three slowest periods after the command.
         residual: largest distance of the tip from where it comes to rest, after the command, m.
         missed: largest distance of the tip from the target, after the command, m.
-        soft, stiff: residual with a stiffness a quarter lower and higher, m; None where all joints
-            have muscles in place of springs.
+        soft, stiff: residual with a stiffness a quarter lower and higher, m; None where all
+            joints that are commanded have muscles in place of springs.
         drawn: residual with each draw of what the fit leaves open, m; empty without one.
         clearance: the least of any link, m; None where nothing stands around.
         closest: the same of the soft, the stiff and the drawn arms, m.
@@ -93,7 +93,7 @@ class Plan:
         limits: that were kept to.
         steps: of the search.
         model: of the arm.
-        problem: that was solved.
+        problem: that was solved first.
         notes: sentences on what a reader should know.
     """
 
@@ -203,17 +203,30 @@ def plan_command(
     how["rows"] = max(len(direct.times), knots + 1)
     rows = [_moved("direct", direct, arms, len(wrong), **how)]
     nearness = 1.0
-    for again in range(_ROUNDS):
-        rows[1:] = [_moved("planned", problem.command(y), arms, len(wrong), **how)]
+    rows.append(_moved("planned", problem.command(y), arms, len(wrong), **how))
+    for _ in range(_ROUNDS):
         over = rows[1].missed / (within * travel)
-        if duration is not None or over <= 1 or again == _ROUNDS - 1 or steps >= most_steps:
+        if duration is not None or over <= 1 or steps >= most_steps:
             break
-        # What comes between the times of the search, and after them, by so much nearer.
+        # The tip is too far off between the times of the search, or after them: it searches on,
+        # and keeps nearer by as much.
         nearness *= _FURTHER / over
-        y, more = problem.closer(nearness, y).solved(most_steps - steps, progress)
+        if progress is not None:
+            progress("searching on, nearer to the target ...")
+        nearer, more = problem.closer(nearness, y).solved(most_steps - steps, progress)
         steps += more
+        try:
+            _check(problem, nearer, duration)
+            row = _moved("planned", problem.command(nearer), arms, len(wrong), **how)
+        except InputError:
+            break
+        if row.missed >= rows[1].missed or (row.clearance or 0.0) < min(
+            rows[1].clearance or 0.0, 0
+        ):
+            break
+        y, rows[1] = nearer, row
     target.check(arm, rows[1].tips)
-    notes = _doubts(rows[1], limits, within * travel, duration)
+    notes = _doubts(rows[1], limits, within * travel, arm.further_laws.rows > 0)
     if springs == "some":
         notes.append("the columns of stiffness are of the springs: muscles are as they are stated")
     if lost := len(drawn) - min(len(row.drawn) for row in rows):
@@ -235,7 +248,7 @@ def _clear_at_ends(arm: Arm, rests: Sequence[Rest], limits: CommandLimits) -> No
         link, box = np.unravel_index(np.argmin(gaps), gaps.shape)
         gap, name = float(gaps[link, box]), things[owners(things)[box]].name
         if gap < limits.clearance:
-            far = f"{gap:.2g} m from" if gap > 0 else f"{-gap:.2g} m within"
+            far = f"{gap:.3g} m from" if gap >= 0 else f"{-gap:.2g} m within"
             raise InputError(
                 f"where the command {where}, link {link + 1} is {far} {name}, and "
                 f"{limits.clearance:g} m are to be kept clear: choose another pose, or less "
@@ -252,16 +265,16 @@ def _springs(arm: Arm, route: np.ndarray, angles: np.ndarray) -> str:
     return "all" if not pulled.any() else "none" if np.array_equal(pulled, moved) else "some"
 
 
-_ROUNDS = 4  # of a search, each of which keeps nearer than the one before came
+_ROUNDS = 3  # of a search that goes on, nearer to the target each time
 _FURTHER = 0.99
 _PRESSED = 1e-3  # of the largest pressure
 
 
-def _doubts(row: Planned, limits: CommandLimits, near: float, duration: float | None) -> list[str]:
+def _doubts(row: Planned, limits: CommandLimits, near: float, remembers: bool) -> list[str]:
     """Notes on what arms do by the planned command (`InputError`: a link meets something)."""
     notes = []
     if row.missed > near:
-        why = "joints that remember may creep on" if duration is None else "give it longer"
+        why = "joints that remember may creep on" if remembers else "give it longer, or more knots"
         notes.append(
             f"within three slowest periods after the command the tip is up to {row.missed:.3g} m "
             f"from the target, and {near:.3g} m are allowed: {why}"
@@ -275,7 +288,7 @@ def _doubts(row: Planned, limits: CommandLimits, near: float, duration: float | 
         )
     for gap, whose in ((row.clearance, ""), (row.closest, " of an arm that may be the true one")):
         if gap < limits.clearance:
-            notes.append(f"a link{whose} comes as near as {gap:.2g} m: plan with more clearance")
+            notes.append(f"a link{whose} comes as near as {gap:.3g} m: plan with more clearance")
             break
     return notes
 
@@ -421,7 +434,7 @@ def _moved(
         stiff=stiff,
         drawn=left[sound],
         clearance=None if arms[0].contact is None else float(gaps[0]),
-        closest=None if arms[0].contact is None else float(np.min(gaps)),
+        closest=None if arms[0].contact is None else float(np.min(gaps[successful])),
         times=times,
         tips=tips[0],
         angles=angles[0],
