@@ -135,8 +135,8 @@ def table(figures: Figures) -> list[str]:
         f"tip is within {NEAR:g} % of the travel of its target in "
         f"{np.count_nonzero(np.array(missed) <= NEAR)} of {len(arms)} plans, off by "
         f"{np.max(missed):.2f} % at the most; it is at rest in {np.nanmedian(sooner):.2f} of the "
-        f"time of the sooner one of the shaped commands (median; {np.nanmax(sooner):.2f} at the most). "
-        '"Never" is not within three periods of the slowest mode after the command.',
+        f"time of the sooner one of the shaped commands (median; {np.nanmax(sooner):.2f} at the "
+        'most). "Never" is not within three periods of the slowest mode after the command.',
         "",
         f"Drawn by the standard deviation of their logarithm: {drawn}; the angle of the base joint "
         f"evenly from {ANGLES[0]:g} to {ANGLES[1]:g} degrees, another joint by half of it; at most "

@@ -220,9 +220,7 @@ def plan_command(
             row = _moved("planned", problem.command(nearer), arms, len(wrong), **how)
         except InputError:
             break
-        if row.missed >= rows[1].missed or (row.clearance or 0.0) < min(
-            rows[1].clearance or 0.0, 0
-        ):
+        if row.missed >= rows[1].missed:
             break
         y, rows[1] = nearer, row
     target.check(arm, rows[1].tips)
