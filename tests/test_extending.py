@@ -107,8 +107,8 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
 
 
 def test_a_model_that_is_not_registered_is_refused_with_what_it_was_made_with():
-    with pytest.raises(giajax.InputError, match="there is no kind of model 'balloon' here: use"):
-        giajax.models.build_model("balloon", {}, {})
+    with pytest.raises(giajax.InputError, match="there is no kind of model 'zeppelin' here: use"):
+        giajax.models.build_model("zeppelin", {}, {})
 
 
 class _Balloon(Group):

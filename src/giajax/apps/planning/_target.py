@@ -13,6 +13,7 @@ from scipy.optimize import least_squares, minimize
 
 from ...mechanics.arm import Arm, clearance, tip_position
 from ...runtime.arrays import Array, Float
+from ...runtime.plugins import optional
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from .._moves import reached, rest_at, resting
@@ -85,6 +86,7 @@ class AbstractTarget(abc.ABC):
             InputError: it cannot be reached.
         """
 
+    @optional
     def check(self, arm: Arm, tips: Float[np.ndarray, "sample 3"]) -> None:  # noqa: B027
         """Refuse a way of the tip (m) that is not the one that was asked for: none by default."""
 
