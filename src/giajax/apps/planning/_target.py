@@ -86,7 +86,7 @@ class AbstractTarget(abc.ABC):
             InputError: it cannot be reached.
         """
 
-    @optional
+    @optional  # noqa: B027
     def check(self, arm: Arm, tips: Float[np.ndarray, "sample 3"]) -> None:  # noqa: B027
         """Refuse a way of the tip (m) that is not the one that was asked for: none by default."""
 
