@@ -87,7 +87,7 @@ class AbstractTarget(abc.ABC):
         """
 
     @optional  # noqa: B027
-    def check(self, arm: Arm, tips: Float[np.ndarray, "sample 3"]) -> None:  # noqa: B027
+    def check(self, arm: Arm, tips: Float[np.ndarray, "sample 3"]) -> None:
         """Refuse a way of the tip (m) that is not the one that was asked for: none by default."""
 
 
