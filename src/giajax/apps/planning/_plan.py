@@ -191,38 +191,22 @@ def plan_command(
     y, steps = problem.solved(most_steps, progress)
     _check(problem, y, duration)
     direct = _direct(route, limits.rate)
+    period = float(problem.task.period)
+    how: Any = {"goal": goal, "near": within * travel, "period": period}
+    how["rows"] = max(len(direct.times), knots + 1)
+    if duration is None:
+        y, steps = _searched_on(problem, y, steps, most_steps, progress, arm, how)
     springs = _springs(arm, route, problem.command(y).angles)
     wrong = [softer(stated, 1 + by).arm for by in (-WRONG, WRONG)] if springs != "none" else []
     result = model if isinstance(model, FitResult) else None
     drawn = arms_left_open(stated, result, draw_count)
     arms = [arm, *wrong, *drawn]
-    period = float(problem.task.period)
     if progress is not None:
         progress(f"looking at {len(arms)} arms ...")
-    how: Any = {"goal": goal, "near": within * travel, "period": period}
-    how["rows"] = max(len(direct.times), knots + 1)
-    rows = [_moved("direct", direct, arms, len(wrong), **how)]
-    nearness = 1.0
-    rows.append(_moved("planned", problem.command(y), arms, len(wrong), **how))
-    for _ in range(_ROUNDS):
-        over = rows[1].missed / (within * travel)
-        if duration is not None or over <= 1 or steps >= most_steps:
-            break
-        # The tip is too far off between the times of the search, or after them: it searches on,
-        # and keeps nearer by as much.
-        nearness *= _FURTHER / over
-        if progress is not None:
-            progress("searching on, nearer to the target ...")
-        nearer, more = problem.closer(nearness, y).solved(most_steps - steps, progress)
-        steps += more
-        try:
-            _check(problem, nearer, duration)
-            row = _moved("planned", problem.command(nearer), arms, len(wrong), **how)
-        except InputError:
-            break
-        if row.missed >= rows[1].missed:
-            break
-        y, rows[1] = nearer, row
+    rows = [
+        _moved(name, command, arms, len(wrong), **how)
+        for name, command in (("direct", direct), ("planned", problem.command(y)))
+    ]
     target.check(arm, rows[1].tips)
     notes = _doubts(rows[1], limits, within * travel, arm.further_laws.rows > 0)
     if springs == "some":
@@ -261,6 +245,45 @@ def _springs(arm: Arm, route: np.ndarray, angles: np.ndarray) -> str:
         return "all"
     pulled = np.isin(np.arange(1, arm.count + 1), arm.pneumatics.joints) & moved
     return "all" if not pulled.any() else "none" if np.array_equal(pulled, moved) else "some"
+
+
+def _searched_on(
+    problem: PlanProblem,
+    y: np.ndarray,
+    steps: int,
+    most: int,
+    progress: Callable[[str], None] | None,
+    arm: Arm,
+    how: dict[str, Any],
+) -> tuple[np.ndarray, int]:
+    """A solution by which the tip is near in a closer simulation, too, and all steps.
+
+    The tip may be too far off between the times of the search, or after them: the search goes on,
+    and keeps nearer by as much. Each simulation is of the arm as stated alone.
+    """
+
+    def missed(y: np.ndarray) -> float:
+        return _moved("planned", problem.command(y), [arm], 0, **how).missed
+
+    off, nearness = missed(y), 1.0
+    for _ in range(_ROUNDS):
+        over = off / how["near"]
+        if over <= 1 or steps >= most:
+            break
+        nearness *= _FURTHER / over
+        if progress is not None:
+            progress("searching on, nearer to the target ...")
+        nearer, more = problem.closer(nearness, y).solved(most - steps, progress)
+        steps += more
+        try:
+            _check(problem, nearer, None)
+            found = missed(nearer)
+        except InputError:
+            break
+        if found >= off:
+            break
+        y, off = nearer, found
+    return y, steps
 
 
 _ROUNDS = 3  # of a search that goes on, nearer to the target each time
