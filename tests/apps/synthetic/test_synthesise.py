@@ -88,7 +88,8 @@ def test_the_noise_of_a_channel_depends_on_the_seed_and_its_name_alone(model):
     run = noisy(model, missing=0.2)
     same = noisy(model, missing=0.2, channels=("tip_z", "tip_x", "link01_y"))
     other = noisy(model, missing=0.2, seed=1)
-    np.testing.assert_array_equal(run.values["tip_z"], same.values["tip_z"])
+    # Not bit for bit: another set of channels is another program, which rounds in its own way.
+    np.testing.assert_allclose(run.values["tip_z"], same.values["tip_z"], rtol=0, atol=1e-12)
     assert not np.allclose(np.nan_to_num(run.values["tip_z"]), np.nan_to_num(other.values["tip_z"]))
     error = run.values["tip_z"] - noisy(model).values["tip_z"]
     np.testing.assert_array_equal(error[~np.isnan(error)], 0)
