@@ -33,6 +33,7 @@ from ._record import (
 )
 from ._right_models import RIGHT_MODELS
 from ._shaping import SHAPING
+from ._steering import STEERING
 from ._study import Study as Study
 from ._suspects import SUSPECTS
 from ._sweep import SWEEP, SWEEP_SPEED
@@ -58,6 +59,7 @@ _ALL = (
     MISSIONS,
     SHAPING,
     PLANS,
+    STEERING,
     TRACKING,
     LEAKS,
 )

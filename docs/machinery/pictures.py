@@ -18,7 +18,7 @@ from evidence._tracking import DELAY, INTENSITY, LENGTH_SCALE, MEAN, recorded
 from giajax.apps.experiments import figure_12, one_link
 from giajax.apps.filling import curve_figure, filling_curve, filling_figure
 from giajax.apps.joint import correction_figure, equilibria_figure, equilibria_table, joint_figure
-from giajax.apps.mission import Mission, mission_figure
+from giajax.apps.mission import Mission, Operator, mission_figure
 from giajax.apps.paper import reproduce
 from giajax.apps.planning import Through, plan_command, plan_figure, plan_rows
 from giajax.apps.shaping import Command, shape_command, shaping_figure
@@ -144,7 +144,8 @@ def _moves() -> None:
     stated = giajax.Definition.load(ROOT / "missions" / "naraha.toml").contents()
     del stated["arm"]["parameters"]
     mission = Mission.from_definition(giajax.Definition.parse(stated))
-    target = Through(approach=np.asarray(mission.operator.approach))
+    operator = Operator.from_section(mission.section, mission.model.arm.count)
+    target = Through(approach=np.asarray(operator.approach))
     found = plan_command(mission.model, target)
     for row in plan_rows(found):
         print(row)

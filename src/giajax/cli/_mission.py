@@ -54,7 +54,12 @@ def tell(
         rows.append([each.obstacle, *cells])
     print_table(["obstacle", "links", "for s", "flattened mm", "most N", "N s"], rows)
     wind = mission.section.wind.speed_m_per_s
-    if outcome.reached is None:
+    if not mission.enters:
+        typer.echo(
+            f"\ntip within {outcome.swing:.2f} m (root mean square about its mean, second half of "
+            f"{outcome.times[-1]:.0f} s), in air of {wind:g} m/s"
+        )
+    elif outcome.reached is None:
         typer.echo(
             f"\nnot inside after {outcome.times[-1]:.0f} s in air of {wind:g} m/s: "
             f"{outcome.reason} (nearest {outcome.nearest:.2f} m)"
@@ -104,6 +109,7 @@ def tell_cases(
 
 
 _RUN = ("run.csv", "run.toml")
+_LONGEST = 3600.0  # s before the opening
 _SPEEDS = "0,0.05,0.1,0.15,0.2,0.25,0.3"
 
 
@@ -114,6 +120,10 @@ Examples:
                             once, in the air of the file
   giajax mission missions/naraha.toml --speed 0.3 --seed 4 --out flown
                             in another wind, with files and a run
+  giajax mission missions/naraha.toml --controller mpc
+                            by model predictive control in place of an operator
+  giajax mission missions/naraha.toml --controller mpc --keep-station 300
+                            held before the opening for 300 s
   giajax mission missions/naraha.toml --page flown.html
                             with a page that plays it
   giajax view flown/run.csv
@@ -149,6 +159,8 @@ def mission(
     speed: Annotated[float | None, "M/S", "Of the air, in place of the file's."] = None,
     seed: Annotated[int, "N", "Of air and pixels; of --cases the first.", 0] = 0,
     case: Annotated[int | None, "N", "One of --cases again, by its seed: arm and air.", 0] = None,
+    controller: Annotated[str, "NAME", "Who drives: operator or mpc."] = "operator",
+    keep_station: Annotated[float | None, "S", "Stay before the opening for so long."] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter of the arm.", "--set"] = None,
     cases: Annotated[int | None, "N", "Fly so many at each of --speeds.", 1] = None,
     speeds: Annotated[str, "M/S,M/S", "Of the air, for --cases."] = _SPEEDS,
@@ -173,7 +185,10 @@ def mission(
     flown_at = list(dict.fromkeys(flown_at))
     if speed is not None and not 0 <= speed < math.inf:
         raise InputError(f"--speed is {speed:g}: give a number of at least 0")
-    for option, given in (("--speed", speed), ("--page", page), ("--case", case)):
+    if keep_station is not None and not 1 <= keep_station <= _LONGEST:
+        raise InputError(f"--keep-station is {keep_station:g}: give seconds from 1 to {_LONGEST:g}")
+    alone = ("--speed", speed), ("--page", page), ("--case", case), ("--keep-station", keep_station)
+    for option, given in alone:
         if given is not None and cases is not None:
             raise InputError(f"{option} is of one mission: leave --cases out")
     if page is not None:
@@ -186,8 +201,10 @@ def mission(
     if out is not None:
         names = (*MISSION_FILES, *_RUN) if cases is None else CASES_FILES
         check_output_folder(out, names, force=force)
-    planned = Mission.from_definition(definition, str(file))
+    planned = Mission.from_definition(definition, str(file), controller=controller)
     planned = planned.with_model(with_settings(planned.model, values))
+    if keep_station is not None:
+        planned = planned.keeping_station(keep_station)
     if cases is not None:
         on_case = None if quiet else _progress()
         done = fly_cases(planned, flown_at, cases, seed=seed, on_case=on_case)

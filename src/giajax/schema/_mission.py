@@ -58,6 +58,18 @@ class OperatorSection(Section):
     pixel_px: Positive = key(POSITIVE, "standard deviation of where it sees a corner", default=1.0)
 
 
+class SteeringSection(Section):
+    """`[mission.steering]`: the predictive controller, with the limits of `[mission.operator]`."""
+
+    speed_m_per_s: Positive = key(POSITIVE, "of the tip towards the opening", default=0.4)
+    stand_off_m: Positive = key(
+        POSITIVE, "how far before the opening the tip goes to its axis", default=2.5
+    )
+    air_m_per_s: Positive = key(
+        POSITIVE, "root mean square of the air that it expects", default=0.2
+    )
+
+
 class MissionWindSection(Section):
     """`[mission.wind]`: the air that nobody tells the operator of."""
 
@@ -83,6 +95,12 @@ class MissionSection(Section):
         "a positive number of up to 36000", "time after which it is over", default=720.0
     )
     operator: OperatorSection = key("a table of keys", "who drives", default=...)
+    steering: SteeringSection = key(
+        "a table of keys", "of `--controller mpc`", default=SteeringSection()
+    )
+    camera_stops_s: NotNegative | None = key(
+        NOT_NEGATIVE, "time from which on there is no picture any more"
+    )
     wind: MissionWindSection = key("a table of keys", "the air", default=MissionWindSection())
     spread: dict[str, NotNegative] | None = key(
         "a table of numbers by parameter",

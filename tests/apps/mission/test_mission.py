@@ -81,7 +81,7 @@ def test_nobody_tells_the_operator(flown):
     one, other = planned.fly(1), soft.in_wind(0.3).fly(2, drawn=planned)
     assert not np.allclose(one.tip, other.tip, atol=0.5)
     assert_allclose(one.command, other.command, atol=1e-12)
-    assert_allclose(one.command[-1], planned.operator.approach, atol=1e-9)
+    assert_allclose(one.command[-1], planned.controller.approach, atol=1e-9)
     assert one.reason == other.reason == "the opening never came into view"
     assert one.reached is None
     # What is later than the picture cannot be known: until it is in view, all are alike.
@@ -207,4 +207,4 @@ def test_both_readings_are_14_m():
     for each in (level, slant):
         assert float(each.opening.centre[2]) == pytest.approx(7.5)
         assert json.dumps(each.section.contents())
-        assert jax.tree.leaves(each.operator)
+        assert jax.tree.leaves(each.controller)

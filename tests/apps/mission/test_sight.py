@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import giajax
 from giajax import InputError
-from giajax.apps.mission import Operator, Tracking, opening_of, posed
+from giajax.apps.mission import Operator, Picture, Scene, Tracking, opening_of, posed
 from giajax.mechanics.arm import Contact
 from giajax.mechanics.obstacles import Box, WallWithOpening
 from giajax.models import Pinhole, View
@@ -151,9 +151,13 @@ def test_a_camera_beside_the_tip_is_not_the_tip():
 
     @eqx.filter_jit
     def commanded(operator, camera, arm, angles):
-        sight = operator.tracking.start(camera.view(arm, angles))
-        numbers = (jnp.asarray(0.0), jnp.asarray(0.1))
-        return operator.commands(arm, camera, OPENING, angles, sight, *numbers)
+        # It believes to be where its commands have the camera, and sees nothing for now.
+        scene = Scene(arm, camera, OPENING, jnp.asarray(0.1))
+        memory = operator.start(scene, 0)._replace(
+            sight=operator.tracking.start(camera.view(arm, angles)), blind=jnp.asarray(0.0)
+        )
+        nothing = Picture(jnp.zeros((4, 2)), jnp.zeros(4, bool), jnp.asarray(False), angles)
+        return operator.decide(scene, memory, nothing, angles)[1]
 
     wanted = []
     for position in ([0.0, 0.0, 0.0], [-0.4, 0.1, 0.3]):

@@ -1,7 +1,16 @@
 """A mission: an operator who sees what a camera at the tip shows brings the arm to an opening."""
 
 from ._cases import Case as Case, Cases as Cases, Tally as Tally, fly_cases as fly_cases
+from ._controller import (
+    AbstractController as AbstractController,
+    Opening as Opening,
+    Picture as Picture,
+    Scene as Scene,
+    opening_of as opening_of,
+    within_limits as within_limits,
+)
 from ._mission import (
+    CONTROLLERS as CONTROLLERS,
     Mission as Mission,
     Outcome as Outcome,
     Touched as Touched,
@@ -9,11 +18,9 @@ from ._mission import (
     recorded as recorded,
 )
 from ._operator import (
-    Opening as Opening,
     Operator as Operator,
     Sight as Sight,
     Tracking as Tracking,
-    opening_of as opening_of,
     posed as posed,
 )
 from ._report import (
@@ -24,4 +31,9 @@ from ._report import (
     mission_figure as mission_figure,
     mission_files as mission_files,
     mission_json as mission_json,
+)
+from ._steer import (
+    Steering as Steering,
+    SteeringMemory as SteeringMemory,
+    box_least_squares as box_least_squares,
 )

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple, Self
 
 import equinox as eqx
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...mechanics.arm import Arm, link_centres, tip_position, touch, touched
-from ...models import ArmModel, Pinhole, View, parameter_values
+from ...models import ArmModel, Pinhole, parameter_values
 from ...recordings import Definition, Run
 from ...runtime.arrays import Array, Bool, Float, Int, Scalar
 from ...runtime.programs import program
@@ -19,7 +20,9 @@ from ...schema import MissionSection
 from ...schema.parameters import replace
 from ...simulation import Moment, Stepper, Trajectory
 from ..synthetic import command_columns, driven_run, gusts, logged_motion
-from ._operator import Opening, Operator, Sight, opening_of
+from ._controller import AbstractController, Opening, Picture, Scene, opening_of
+from ._operator import Operator
+from ._steer import Steering
 
 _WIND_INTERVAL = 1.0  # between two rows of the gusts, s; the wind is linear between them
 
@@ -83,48 +86,38 @@ class Task(NamedTuple):
         tolerance: of the motion, as of `Stepper`.
     """
 
-    opening: Opening
     beyond: Scalar
     hold: Scalar
-    interval: Scalar
     tolerance: Scalar
 
 
-class _Picture(NamedTuple):
-    """The opening's corners on a picture, which of them are on it, and what was commanded then.
+class _Now(NamedTuple):
+    """Where a mission is.
 
     Attributes:
-        room: whether it shows what is behind the opening.
-        commanded: where commands would have the camera.
+        pictures: on their way, the oldest first.
+        memory: of the controller.
+        inside: as of `Rows`.
     """
 
-    pixels: Float[Array, "4 2"]
-    seen: Bool[Array, "4"]
-    room: Bool[Array, ""]
-    commanded: View
-
-
-class _Now(NamedTuple):
-    """Where a mission is: the arm, pictures on their way (the oldest first), and the operator."""
-
     moment: Moment
-    pictures: _Picture
-    sight: Sight
-    blind: Scalar
+    pictures: Picture
+    memory: Any
     inside: Scalar
 
 
 def _rows_like(
-    arm: Arm, drawn: Arm, camera: Pinhole, operator: Operator, task: Task, wind: Any, error: Any,
+    arm: Arm, scene: Scene, controller: AbstractController, task: Task, wind: Any, error: Any,
     late: int,
 ) -> Rows:  # fmt: skip
     """Rows as of `flight`, without flying."""
-    del drawn, camera, operator, late
+    del controller, late
+    interval = scene.interval
 
     def first(arm: Arm, task: Task, wind: Array) -> Rows:
-        moment = Stepper(arm, task.interval, tolerance=task.tolerance).start(wind=wind[0])
+        moment = Stepper(arm, interval, tolerance=task.tolerance).start(wind=wind[0])
         tip, shown = tip_position(arm, moment.angles), jnp.sum(jnp.zeros(4, dtype=bool))
-        rest = moment.command, tip, tip, shown, jnp.zeros_like(moment.angles), task.interval
+        rest = moment.command, tip, tip, shown, jnp.zeros_like(moment.angles), interval
         return Rows(moment.time, moment.state, *rest)
 
     return jax.tree.map(
@@ -136,9 +129,8 @@ def _rows_like(
 @functools.partial(program, like=_rows_like)
 def flight(
     arm: Arm,
-    drawn: Arm,
-    camera: Pinhole,
-    operator: Operator,
+    scene: Scene,
+    controller: AbstractController,
     task: Task,
     wind: Float[Array, "row width"],
     error: Float[Array, "row 4 2"],
@@ -146,24 +138,26 @@ def flight(
 ) -> Rows:
     """A mission until its end; rows after that are as the last one.
 
-    The operator takes the arm to be the drawn one. Pictures are late by so many intervals, at whose
-    ends there is a row of the wind (m/s), and in each of which the operator sees the corners with
-    an error (px).
+    Pictures are late by so many intervals, at whose ends there is a row of the wind (m/s), and in
+    each of which the controller sees the corners with an error (px).
     """
-    opening, interval = task.opening, task.interval
+    _, camera, opening, interval = scene
     stepper = Stepper(arm, interval, tolerance=task.tolerance)
 
     def is_inside(angles: Array) -> Bool[Array, ""]:
         local = opening.local(tip_position(arm, angles))
         return (local[0] < -task.beyond) & (opening.beside(local) == 0)
 
-    def picture(moment: Moment, error: Array) -> _Picture:
+    def picture(moment: Moment, error: Array) -> Picture:
         view = camera.view(arm, moment.angles)
         found = camera.project_from(view, opening.corners)
         # From behind the wall its outer face is hidden.
         seen = camera.sees(found) & (opening.local(view.centre)[0] > 0)
-        commanded = camera.view(drawn, moment.command)
-        return _Picture(found.pixels + error, seen, is_inside(moment.angles), commanded)
+        # A picture that is lost shows nothing, and not the room either.
+        there = jnp.all(jnp.isfinite(error))
+        pixels = jnp.where(there, found.pixels + error, 0)
+        inside = there & is_inside(moment.angles)
+        return Picture(pixels, seen & there, inside, moment.command)
 
     def advanced(now: _Now, blowing: Array, error: Array) -> _Now:
         newest = picture(now.moment, error)
@@ -171,16 +165,10 @@ def flight(
             lambda queue, last: jnp.concatenate([queue[1:], last[None]]), now.pictures, newest
         )
         shown = jax.tree.map(lambda queue: queue[0], pictures)
-        sight = operator.tracking.corrected(
-            operator.tracking.later(now.sight, interval),
-            camera, opening, shown.pixels, shown.seen, shown.commanded, interval,
-        )  # fmt: skip
-        blind = jnp.where(jnp.sum(shown.seen) >= 2, 0, now.blind + interval)
-        before = now.moment.command
-        command = operator.commands(drawn, camera, opening, before, sight, blind, interval)
-        moment = stepper.advance(now.moment, jnp.where(shown.room, before, command), blowing)
+        memory, command = controller.decide(scene, now.memory, shown, now.moment.command)
+        moment = stepper.advance(now.moment, command, blowing)
         inside = jnp.where(is_inside(moment.angles), now.inside + interval, 0)
-        return _Now(moment, pictures, sight, blind, inside)
+        return _Now(moment, pictures, memory, inside)
 
     def row(now: _Now, given: tuple[Array, Array]) -> tuple[_Now, Rows]:
         # A motion that is lost would be tried again with ever shorter steps, to no end.
@@ -197,7 +185,7 @@ def flight(
             state=state,
             command=moment.command,
             tip=tip_position(arm, moment.angles),
-            believed=now.sight.view.centre,
+            believed=controller.believed(scene, now.memory),
             corners=jnp.sum(now.pictures.seen[-1]),
             pressing=pressed,
             inside=now.inside,
@@ -206,8 +194,7 @@ def flight(
     moment = stepper.start(wind=wind[0])
     first = picture(moment, jnp.zeros_like(error[0]))
     waiting = jax.tree.map(lambda x: jnp.broadcast_to(x, (late + 1, *x.shape)), first)
-    sight, blind = operator.tracking.start(first.commanded), operator.patience + interval
-    now = _Now(moment, waiting, sight, blind, jnp.zeros_like(interval))
+    now = _Now(moment, waiting, controller.start(scene, late), jnp.zeros_like(interval))
     return jax.lax.scan(row, now, (wind[1:], error))[1]
 
 
@@ -269,6 +256,12 @@ class Outcome:
         """Of any link at most, m."""
         return max((each.flattening for each in self.touched), default=0.0)
 
+    @property
+    def swing(self) -> float:
+        """Root mean square of the tip about its mean, over the second half of the time, m."""
+        late = self.tip[len(self.tip) // 2 :]
+        return float(np.sqrt(np.mean(np.sum((late - late.mean(axis=0)) ** 2, axis=1))))
+
 
 def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row width"]) -> Outcome:
     """What rows of a mission, and the air in it, come to."""
@@ -283,9 +276,15 @@ def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row widt
     local = np.asarray(mission.opening.local(jnp.asarray(table.tip)))
     gap = np.linalg.norm(local, axis=1)[sound]
     nearest = float(gap.min()) if gap.size else np.nan
+    reason = "" if reached is not None else _reason(table, bool(sound.all()), nearest)
+    stops = mission.section.camera_stops_s
+    if not mission.enters and sound.all():
+        reason = "it was to stay before the opening"
+    elif reached is None and stops is not None and stops < mission.times[end]:
+        reason = "the camera stopped before the tip was inside"
     return Outcome(
         reached=reached,
-        reason="" if reached is not None else _reason(table, bool(sound.all()), nearest),
+        reason=reason,
         nearest=nearest,
         touched=_touched(arm, table),
         times=mission.times[: end + 1],
@@ -357,27 +356,50 @@ def _contacts(arm: Arm, states: Float[Array, "row part joint"]) -> tuple[Array, 
 _INTERVAL, _TOLERANCE = 0.1, 1e-3
 
 
+Controllers = dict[str, Callable[[MissionSection, ArmModel], AbstractController]]
+
+CONTROLLERS: Controllers = {
+    "operator": lambda section, model: Operator.from_section(section, model.arm.count),
+    "mpc": Steering.from_section,
+}
+"""Who may drive, by name."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Mission:
-    """An arm that an operator is to bring through an opening.
+    """An arm that is to be brought through an opening, or to stay before it.
 
     Attributes:
         model: of the arm, with its obstacles and its cameras.
+        controller: who drives it.
+        enters: whether the tip shall go in.
     """
 
     model: ArmModel
     section: MissionSection
     opening: Opening
     camera: Pinhole
-    operator: Operator
+    controller: AbstractController
+    enters: bool = True
 
     @classmethod
-    def from_definition(cls, definition: Definition, source: str = "the file") -> Self:
+    def from_definition(
+        cls, definition: Definition, source: str = "the file", *, controller: str = "operator"
+    ) -> Self:
         """The mission of a file.
 
+        Arguments:
+            definition: of the file.
+            source: what messages call it.
+            controller: one of `CONTROLLERS`.
+
         Raises:
-            InputError: it has no `[mission]`, no opening, or no camera at the tip of its arm.
+            InputError: it has no `[mission]`, no opening, or no camera at the tip of its arm; its
+                arm is too short, or none that the controller can drive; an unknown controller.
         """
+        if controller not in CONTROLLERS:
+            known = ", ".join(CONTROLLERS)
+            raise InputError(f"the controller is '{controller}': give one of {known}")
         section = definition.mission
         if section is None:
             raise InputError(f"{source} has no [mission]: add one (giajax mission --help shows it)")
@@ -395,8 +417,25 @@ class Mission:
         if name is not None and name not in lenses:
             raise InputError(f"mission.camera = '{name}' is no camera at the tip: correct it")
         camera = next(iter(lenses.values())) if name is None else lenses[name]
-        operator = Operator.from_section(section, model.arm.count)
-        return cls(model, section, opening, camera, operator)
+        far = float(np.linalg.norm(np.asarray(opening.centre)))
+        reach = float(np.sum(np.asarray(model.arm.links.length)))
+        if far > reach:
+            raise InputError(
+                f"the opening is {far:.1f} m from the base, and the arm is {reach:.1f} m long: "
+                "give a longer arm, or a nearer opening"
+            )
+        return cls(model, section, opening, camera, CONTROLLERS[controller](section, model))
+
+    def keeping_station(self, seconds: float) -> Self:
+        """The mission that stays before the opening, at the stand-off, until its end.
+
+        Arguments:
+            seconds: that it lasts.
+        """
+        stays: Any = self.controller
+        stays = dataclasses.replace(stays, deep=-stays.stand_off)
+        section = self.section.model_copy(update={"limit_s": seconds})
+        return dataclasses.replace(self, section=section, controller=stays, enters=False)
 
     def case(self, seed: int) -> Self:
         """The mission with another arm: parameters of `[mission.spread]`, which it has, drawn."""
@@ -441,13 +480,15 @@ class Mission:
         wind = self.wind(seed)
         random = np.random.default_rng([seed, 3])
         error = section.operator.pixel_px * random.normal(size=(len(wind) - 1, 4, 2))
-        numbers = (section.beyond_m, section.hold_s, _INTERVAL, _TOLERANCE)
+        if section.camera_stops_s is not None:
+            error[self.times[:-1] >= section.camera_stops_s] = np.nan
+        numbers = (section.beyond_m, section.hold_s, _TOLERANCE)
+        known = (self if drawn is None else drawn).model.arm
         rows = flight(
             arm,
-            (self if drawn is None else drawn).model.arm,
-            self.camera,
-            self.operator,
-            Task(self.opening, *jnp.asarray(numbers, jnp.result_type(float))),
+            Scene(known, self.camera, self.opening, jnp.asarray(_INTERVAL)),
+            self.controller,
+            Task(*jnp.asarray(numbers, jnp.result_type(float))),
             jnp.asarray(wind),
             jnp.asarray(error),
             round(section.operator.latency_s / _INTERVAL),

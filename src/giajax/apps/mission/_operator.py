@@ -1,6 +1,6 @@
 """Who drives the arm: commands from what a picture shows, with limits."""
 
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...mechanics.arm import Arm, pose, tip_position
-from ...mechanics.obstacles import WallWithOpening
 from ...models import Pinhole, View
 from ...runtime.arrays import (
     Array,
@@ -22,56 +21,7 @@ from ...runtime.arrays import (
 )
 from ...runtime.text import InputError
 from ...schema import MissionSection
-
-
-class Opening(NamedTuple):
-    """An opening as it is seen from the side that its wall's x points to.
-
-    Attributes:
-        centre: of its outer face in the base frame, m.
-        frame: unit vectors outwards, to the left and up, as columns.
-        half: half of its width and height, m.
-    """
-
-    centre: Float[Array, "3"]
-    frame: Float[Array, "3 3"]
-    half: Float[Array, "2"]
-    thickness: Scalar
-
-    @property
-    def corners(self) -> Float[Array, "4 3"]:
-        """Of the outer face, in the base frame, m."""
-        signs = jnp.asarray([[1, 1], [-1, 1], [-1, -1], [1, -1]], self.half.dtype)
-        return self.centre[None] + (signs * self.half[None]) @ self.frame[:, 1:].T
-
-    def local(self, points: Float[Array, "*point 3"]) -> Float[Array, "*point 3"]:
-        """Points of the base frame as distances outwards, to the left and up, m."""
-        rows = points.reshape(-1, 3) - self.centre[None]
-        return (rows @ self.frame).reshape(points.shape)
-
-    def beside(self, local: Float[Array, "3"]) -> Scalar:
-        """How far a point is outside the frame, seen along the way through it, m; 0 within."""
-        out = jnp.maximum(jnp.abs(local[1:]) - self.half, 0)
-        return jnp.sqrt(jnp.sum(out**2))
-
-
-def opening_of(arm: Arm, name: str | None = None) -> Opening:
-    """The opening of a wall around an arm, by its name where there are several."""
-    obstacles = () if arm.contact is None else arm.contact.obstacles
-    walls = {each.name: each for each in obstacles if isinstance(each, WallWithOpening)}
-    if not walls:
-        raise InputError(
-            'no opening is around the arm: add a wall, as [[arm.obstacles]] with shape = "wall"'
-        )
-    if name is None and len(walls) > 1:
-        raise InputError(f"there are openings in {', '.join(walls)}: say which")
-    if name is not None and name not in walls:
-        raise InputError(f"'{name}' is no wall with an opening: there is {', '.join(walls)}")
-    wall = next(iter(walls.values())) if name is None else walls[name]
-    turn = wall.turn()
-    frame = jnp.stack([rotate(turn, axis) for axis in jnp.eye(3, dtype=turn.dtype)], axis=1)
-    centre = wall.centre + frame[:, 0] * wall.thickness / 2
-    return Opening(centre, frame, wall.opening / 2, wall.thickness)
+from ._controller import AbstractController, Opening, Picture, Scene, number, within_limits
 
 
 def posed(camera: Pinhole, opening: Opening, pixels: Float[Array, "4 2"]) -> View:
@@ -112,11 +62,6 @@ _STILL = 0.2
 
 # Corners that have a pose, in place of those that nobody sees.
 _SQUARE = np.array([[100.0, 100.0], [200.0, 100.0], [200.0, 200.0], [100.0, 200.0]])
-
-
-def number(default: float) -> Any:
-    """A field that a program takes as an argument, so that another value is no other program."""
-    return eqx.field(converter=lambda x: jnp.asarray(x, jnp.result_type(float)), default=default)
 
 
 class Sight(NamedTuple):
@@ -242,7 +187,18 @@ _AHEAD = 3.0
 _METRES = 2.0  # a turn by a radian counts as much as so many metres of the tip
 
 
-class Operator(eqx.Module):
+class OperatorMemory(NamedTuple):
+    """What an operator remembers.
+
+    Attributes:
+        blind: for how long the opening was not seen, s.
+    """
+
+    sight: Sight
+    blind: Scalar
+
+
+class Operator(AbstractController):
     """An operator who has the drawing, the commands so far, and a late picture from the tip.
 
     Until the opening comes into view, and where it has been out of it for too long, joints go to
@@ -309,30 +265,35 @@ class Operator(eqx.Module):
             tracking=Tracking(pixel=jnp.asarray(2 * stated.pixel_px)),
         )
 
-    def commands(
-        self,
-        arm: Arm,
-        camera: Pinhole,
-        opening: Opening,
-        command: Float[Array, " joint"],
-        sight: Sight,
-        blind: Scalar,
-        interval: Scalar,
-    ) -> Float[Array, " joint"]:
-        """The commands an interval (s) later, rad, by the drawn lengths and axes of the arm.
+    def start(self, scene: Scene, late: int) -> OperatorMemory:
+        """Where the straight arm has the camera, and nothing seen yet."""
+        del late
+        view = scene.camera.view(scene.arm, jnp.zeros_like(self.approach))
+        return OperatorMemory(self.tracking.start(view), self.patience + scene.interval)
 
-        Arguments:
-            command: the commands so far, rad.
-            sight: where the camera at the tip is believed to be.
-            blind: for how long the opening was not seen, s.
-        """
+    def decide(
+        self, scene: Scene, memory: OperatorMemory, picture: Picture, command: Array
+    ) -> tuple[OperatorMemory, Float[Array, " joint"]]:
+        """Commands by what is seen, with the drawn lengths and axes of the arm."""
+        interval = scene.interval
+        commanded = scene.camera.view(scene.arm, picture.commanded)
+        sight = self.tracking.corrected(
+            self.tracking.later(memory.sight, interval),
+            scene.camera, scene.opening, picture.pixels, picture.seen, commanded, interval,
+        )  # fmt: skip
+        blind = jnp.where(jnp.sum(picture.seen) >= 2, 0, memory.blind + interval)
         back = self.approach - command
         away = jnp.maximum(jnp.max(jnp.abs(back)) / self.approach_rate, interval)
-        served = self._served(arm, command, self._task(camera, opening, sight))
+        served = self._served(scene.arm, command, self._task(scene, sight))
         rates = jnp.where(blind > self.patience, back / away, served)
-        # As slow as the slowest needs it, so that the tip goes where it shall.
-        rates = rates / jnp.maximum(1, jnp.max(jnp.abs(rates)) / self.largest_rate)
-        return jnp.clip(command + interval * rates, -self.largest_angle, self.largest_angle)
+        limits = self.largest_rate, self.largest_angle
+        after = within_limits(command, rates, interval, *limits)
+        return OperatorMemory(sight, blind), jnp.where(picture.room, command, after)
+
+    def believed(self, scene: Scene, memory: OperatorMemory) -> Float[Array, "3"]:
+        """The camera of the filter."""
+        del scene
+        return memory.sight.view.centre
 
     def _served(self, arm: Arm, command: Array, task: Float[Array, "6"]) -> Array:
         """Rates that bring the tip to where the picture says that it should be."""
@@ -353,10 +314,10 @@ class Operator(eqx.Module):
         beyond = (jnp.abs(command + first / 2) >= self.largest_angle) & (command * first > 0)
         return turned(jnp.where(beyond, 0, 1).astype(command.dtype))
 
-    def _task(self, camera: Pinhole, opening: Opening, sight: Sight) -> Float[Array, "6"]:
+    def _task(self, scene: Scene, sight: Sight) -> Float[Array, "6"]:
         """Velocity of the tip and turn of the camera that commands shall make, in metres."""
-        velocity = sight.velocity
-        tip = camera.mounted_at(sight.view) + self.latency * velocity
+        opening, velocity = scene.opening, sight.velocity
+        tip = scene.camera.mounted_at(sight.view) + self.latency * velocity
         local = opening.local(tip)
         beside = safe_norm(local[1:])
         outside = jnp.clip(2 * (beside - self.near), -self.deep, self.stand_off)

@@ -58,6 +58,7 @@ from ._track import (
     Track as Track,
     Unknown as Unknown,
     track as track,
+    usual_torque as usual_torque,
 )
 from ._tracker import DelayedFilter as DelayedFilter, Tracker as Tracker
 from ._verdict import (

@@ -245,6 +245,13 @@ class TrackedArm(eqx.Module):
         moved = jnp.concatenate([mean, kept * vector[biases]])
         return moved, slope, jnp.concatenate([pushed, blown, drifted], axis=1)
 
+    def expected(self, vector: Array, held: Held) -> Array:
+        """Where the vector moves to, biases apart, without anything that is added by chance."""
+        moving = self.slices()["biases"].start
+        chance = 0 if self.gusts is None else 3 + 3 * self.gusts.places
+        after = self._moved(vector[:moving], jnp.zeros(chance, vector.dtype), held)
+        return jnp.concatenate([after, vector[moving:]])
+
     def _moved(self, vector: Array, chance: Array, held: Held) -> Array:
         where = self.slices()
         model = self.with_parameters(vector)

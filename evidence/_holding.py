@@ -1,0 +1,132 @@
+"""Others who hold the tip: controllers of one's own, beside those of `giajax mission`."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from giajax.apps.mission import (
+    AbstractController,
+    Picture,
+    Scene,
+    Steering,
+    within_limits,
+)
+from giajax.apps.tracking import Gaussian
+from giajax.mechanics.arm import Arm, tip_position
+from giajax.runtime.arrays import Array
+from giajax.runtime.programs import program
+from giajax.simulation import Moment, Stepper
+
+
+class Still(AbstractController):
+    """Commands that go somewhere, and stay there."""
+
+    rest: Array
+    rate: Array
+
+    def start(self, scene: Scene, late: int) -> Any:
+        return scene.opening.centre
+
+    def decide(self, scene: Scene, memory: Any, picture: Picture, command: Array) -> Any:
+        rates = (self.rest - command) / scene.interval
+        return memory, within_limits(command, rates, scene.interval, self.rate, jnp.asarray(jnp.pi))
+
+    def believed(self, scene: Scene, memory: Any) -> Array:
+        return memory
+
+
+BEGINS = 180.0  # s, after which the tip is near enough to be held by what is linear
+
+
+class ProportionalDerivative(AbstractController):
+    """Commands that differ from those at rest by how far the tip is off, and by its velocity."""
+
+    steering: Steering
+    rest: Array
+    gain: Array
+    rate_gain: Array
+
+    def start(self, scene: Scene, late: int) -> Any:
+        return self.steering.start(scene, late)
+
+    def decide(self, scene: Scene, memory: Any, picture: Picture, command: Array) -> Any:
+        memory = self.steering.estimate(scene, memory, picture, command)
+        angles, rates = self.steering.tracked.arm_state(self.steering.now(scene, memory).mean)[:2]
+        target = scene.opening.centre + self.steering.stand_off * scene.opening.frame[:, 0]
+        tip = tip_position(scene.arm, angles)
+        slope = jax.jacfwd(lambda q: tip_position(scene.arm, q))(angles)
+        wanted = self.gain * (target - tip) - self.rate_gain * (slope @ rates)
+        offset = slope.T @ jnp.linalg.solve(slope @ slope.T + 1e-3 * jnp.eye(3), wanted)
+        held = memory.decisions * scene.interval > BEGINS
+        rates = (self.rest + jnp.where(held, offset, 0) - command) / scene.interval
+        limits = self.steering.largest_rate, self.steering.largest_angle
+        return memory, within_limits(command, rates, scene.interval, *limits)
+
+    def believed(self, scene: Scene, memory: Any) -> Array:
+        return memory.believed
+
+
+class LinearQuadraticGaussian(AbstractController):
+    """A constant gain on the estimate of the tracker."""
+
+    steering: Steering
+    rest: Array
+    gain: Array
+
+    def start(self, scene: Scene, late: int) -> Any:
+        return self.steering.start(scene, late)
+
+    def decide(self, scene: Scene, memory: Any, picture: Picture, command: Array) -> Any:
+        memory = self.steering.estimate(scene, memory, picture, command)
+        joints = command.shape[0]
+        state = self.steering.now(scene, memory).mean[: 2 * joints]
+        off = state - jnp.concatenate([self.rest, jnp.zeros_like(self.rest)])
+        held = memory.decisions * scene.interval > BEGINS
+        rates = (self.rest - jnp.where(held, self.gain @ off, 0) - command) / scene.interval
+        limits = self.steering.largest_rate, self.steering.largest_angle
+        return memory, within_limits(command, rates, scene.interval, *limits)
+
+    def believed(self, scene: Scene, memory: Any) -> Array:
+        return memory.believed
+
+
+@program
+def flown_knowing(arm: Arm, steering: Steering, scene: Scene, wind: Array, late: int) -> Array:
+    """Places of the tip, m, of an arm whose control is told its true state, late, and its air.
+
+    The air at the links is told as the tracker has it: between its places it is linear.
+    """
+    tracked, interval = steering.tracked, scene.interval
+    stepper = Stepper(arm, interval, tolerance=jnp.asarray(1e-3))
+    where, joints = tracked.slices(), arm.count
+    gusts = tracked.gusts
+    assert gusts is not None
+    to_places = jnp.linalg.pinv(gusts.along)
+
+    def vector(moment: Moment) -> Array:
+        assert moment.wind is not None
+        known = steering.start_at.mean
+        known = known.at[where["arm"]].set(moment.state[: tracked.rows].ravel())
+        local = gusts.frame.T @ (to_places @ moment.wind.reshape(joints, 3)).T
+        return known.at[where["gusts"]].set(local.ravel())
+
+    def row(now: Any, blowing: Array) -> Any:
+        moment, vectors, memory = now
+        vectors = jnp.concatenate([vectors[1:], vector(moment)[None]])
+        commands = jnp.concatenate([memory.commands[1:], moment.command[None]])
+        told = Gaussian(vectors[0], jnp.zeros_like(steering.start_at.root))
+        memory = memory._replace(state=told, commands=commands, decisions=memory.decisions + 1)
+        plan = jax.lax.cond(
+            (memory.decisions - 1) % steering.every == 0,
+            lambda: steering.plan(scene, steering.now(scene, memory), moment.command, memory.plan),
+            lambda: memory.plan,
+        )
+        limits = steering.largest_rate, steering.largest_angle
+        command = within_limits(moment.command, plan[0], interval, *limits)
+        moment = stepper.advance(moment, command, blowing)
+        return (moment, vectors, memory._replace(plan=plan)), tip_position(arm, moment.angles)
+
+    begun = stepper.start(wind=wind[0])
+    vectors = jnp.broadcast_to(vector(begun), (late + 1, tracked.size))
+    return jax.lax.scan(row, (begun, vectors, steering.start(scene, late)), wind[1:])[1]

@@ -1,0 +1,194 @@
+"""Model predictive control: its plan beside a simulation, what it may know, and how it ends."""
+
+import dataclasses
+import functools
+import tomllib
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import lsq_linear
+
+from giajax import Definition, InputError, simulate
+from giajax.apps.mission import CONTROLLERS, Mission, Picture, Scene, box_least_squares
+from giajax.apps.tracking import Gaussian, Held
+from giajax.mechanics.arm import tip_position
+from giajax.schema.parameters import replace
+from giajax.simulation import ramps
+
+FOLDER = Path(__file__).resolve().parents[3] / "missions"
+LASTS = 120.0  # s: of all missions here, so that they are one program
+
+
+def steered(controller="mpc", **changes):
+    data = tomllib.loads((FOLDER / "naraha.toml").read_text(encoding="utf-8"))
+    data["mission"]["limit_s"] = LASTS
+    for path, value in changes.items():
+        *sections, key = path.split("__")
+        functools.reduce(lambda table, name: table[name], sections, data)[key] = value
+    return Mission.from_definition(Definition.parse(data), controller=controller)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_quadratic_program_is_solved_within_its_bounds(seed):
+    """Against the trust-region method of scipy; a few iterations are near it, and never outside."""
+    rng = np.random.default_rng(seed)
+    matrix, values = rng.normal(size=(60, 40)), rng.normal(size=60)
+    bounds = -np.abs(rng.normal(size=40)) / 10, np.abs(rng.normal(size=40)) / 10
+    exact = lsq_linear(matrix, values, bounds, tol=1e-12)
+    assert 5 < np.sum(exact.active_mask != 0) < 40
+    given = (*map(jnp.asarray, (matrix, values, *bounds)), jnp.asarray(rng.normal(size=40)))
+    many, few = (np.asarray(box_least_squares(*given, count)) for count in (2000, 60))
+    assert_allclose(many, exact.x, atol=1e-8)
+    assert np.all((bounds[0] <= few) & (few <= bounds[1]))
+    cost = np.sum((matrix @ few - values) ** 2) / 2
+    assert cost < 1.001 * exact.cost
+
+
+@pytest.mark.slow
+def test_a_plan_goes_where_a_simulation_of_it_goes():
+    """At rest in the approach, in still air: the tip comes to the place before the opening.
+
+    The plan is linearised, and simulated by another method as it is.
+    """
+    mission = steered(arm__parameters={})
+    steering = mission.controller
+    arm = dataclasses.replace(mission.model.arm, contact=None)
+    scene = Scene(arm, mission.camera, mission.opening, jnp.asarray(0.1))
+    command = steering.approach + jnp.asarray([0.05, 0.03] * 10)
+    mean = steering.start_at.mean.at[: len(command)].set(command)
+    now = Gaussian(mean, jnp.zeros_like(steering.start_at.root))
+    steering = dataclasses.replace(steering, deep=-steering.stand_off)
+    last = jnp.zeros((10, len(command)))
+    plan = np.asarray(eqx.filter_jit(steering.plan)(scene, now, command, last))
+    assert np.all(np.abs(plan) <= float(steering.largest_rate))
+    lengths = np.array([1, 1, 2, 2, 3, 3, 4, 4, 5, 5.0])
+    times = np.concatenate([[0.0], np.cumsum(lengths)])
+    rows = np.asarray(command) + np.concatenate(
+        [np.zeros((1, len(command))), np.cumsum(lengths[:, None] * plan, axis=0)]
+    )
+    found = simulate(arm, ramps(times, rows), times, angles=command, solver="tsit5", rtol=1e-6)
+    target = mission.opening.centre + steering.stand_off * mission.opening.frame[:, 0]
+    gaps = np.linalg.norm(np.asarray(found.tip) - np.asarray(target), axis=1)
+    assert gaps[0] > 1.0
+    assert gaps[-1] < 0.15 * gaps[0]
+    tips = [np.asarray(tip_position(arm, row)) for row in found.angles[-1:]]
+    slope = jax.jacfwd(lambda q: tip_position(arm, q))(found.angles[-1])
+    assert np.linalg.norm(slope @ found.rates[-1]) < 0.05
+    assert_allclose(tips[-1], found.tip[-1], atol=1e-9)
+
+
+def test_what_is_expected_is_the_middle_of_what_may_come():
+    """Without chance the tracker's arm moves as its mean does."""
+    tracked = steered().controller.tracked
+    rng = np.random.default_rng(0)
+    vector = steered().controller.start_at.mean
+    vector = vector.at[:40].add(jnp.asarray(0.05 * rng.normal(size=40)))
+    held = Held(
+        jnp.asarray(0.0), jnp.asarray(0.1), jnp.asarray(rng.normal(size=(2, 20)) / 10),
+        jnp.zeros((2, 3)),
+    )  # fmt: skip
+    mean = eqx.filter_jit(lambda v: tracked.moved(v, held)[0])(vector)
+    alone = eqx.filter_jit(lambda v: tracked.expected(v, held))(vector)
+    assert_allclose(alone, mean, atol=1e-12)
+    assert np.abs(np.asarray(alone - vector)[:20]).max() > 1e-5
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return steered().fly(1)
+
+
+@pytest.mark.slow
+def test_the_tip_comes_in_sooner(flown):
+    """In the air of the paper; the operator takes three minutes."""
+    assert flown.reached is not None
+    assert flown.reached < 110
+    assert not flown.touched or flown.flattening < 0.05
+    assert np.abs(flown.command).max() <= np.deg2rad(60) + 1e-12
+    assert (np.abs(np.diff(flown.command, axis=0)) / 0.1).max() <= np.deg2rad(2.0) * (1 + 1e-9)
+
+
+@pytest.mark.slow
+def test_it_knows_no_more_than_pictures_show(flown):
+    """Without a picture, commands of two arms in different air are the same."""
+    blind = steered(mission__camera_stops_s=0.0)
+    soft = blind.with_model(replace(blind.model, {"joints.pitch_stiffness": 2.0}))
+    one, other = blind.fly(1), soft.in_wind(0.3).fly(2, drawn=blind)
+    assert not np.allclose(one.tip[-1], other.tip[-1], atol=0.3)
+    assert_allclose(one.command, other.command, atol=1e-12)
+    assert one.reason == "the camera stopped before the tip was inside"
+    assert one.corners.max() == 0
+    # Until the first picture is late enough to be seen, one that sees does the same.
+    seen = int(np.argmax(flown.corners >= 1))
+    assert seen > 20
+    assert_allclose(flown.command[: seen + 4], one.command[: seen + 4], atol=1e-12)
+    # The safe state: commands rest at the approach.
+    approach = np.asarray(blind.controller.approach)
+    assert np.abs(one.command[-1] - approach).max() < np.deg2rad(3.0)
+    assert np.abs(one.command[-1] - one.command[-50]).max() < np.deg2rad(0.5)
+
+
+@pytest.mark.slow
+def test_a_camera_that_stops_ends_in_the_safe_state(flown):
+    stopped = steered(mission__camera_stops_s=30.0).fly(1)
+    assert_allclose(stopped.command[:300], flown.command[:300], atol=1e-12)
+    assert stopped.reached is None
+    assert stopped.reason == "the camera stopped before the tip was inside"
+    late = stopped.command[-100:]
+    assert np.abs(np.diff(late, axis=0)).max() / 0.1 < np.deg2rad(0.2)
+
+
+@pytest.mark.slow
+def test_the_tip_is_held_before_the_opening():
+    """In air that moves the arm by more than a metre; the operator's command goes to and fro."""
+    held = steered().keeping_station(LASTS)
+    outcome = held.case(1).fly(1, drawn=held)
+    assert outcome.reached is None
+    assert outcome.swing < 0.2
+    local = np.asarray(held.opening.local(jnp.asarray(outcome.tip[-300:])))
+    assert_allclose(local.mean(axis=0), [2.5, 0.0, 0.0], atol=0.2)
+    still = outcome.command[-1]
+    assert np.abs(still).max() <= np.deg2rad(60)
+
+
+def test_an_estimate_that_is_no_number_stops_all_commands():
+    mission = steered()
+    steering = mission.controller
+    scene = Scene(mission.model.arm, mission.camera, mission.opening, jnp.asarray(0.1))
+    memory = steering.start(scene, 4)
+    lost = memory._replace(state=memory.state._replace(mean=memory.state.mean * jnp.nan))
+    nothing = Picture(jnp.zeros((4, 2)), jnp.zeros(4, bool), jnp.asarray(False), steering.approach)
+    decide = eqx.filter_jit(steering.decide)
+    command = jnp.linspace(-0.1, 0.1, 20)
+    assert_allclose(decide(scene, lost, nothing, command)[1], command, atol=1e-15)
+    assert np.abs(decide(scene, memory, nothing, command)[1] - command).max() > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"controller": "pid"}, "the controller is 'pid': give one of operator, mpc"),
+        ({"arm__links": 10, "mission__operator__approach": {"joints": [1], "angles_deg": [3.0]}},
+         r"the opening is 15\.9 m from the base, and the arm is 9\.9 m long"),
+        ({"mission__steering": {"speed_m_per_s": 0.0}}, "speed_m_per_s = 0.0 must be a positive"),
+        ({"mission__camera_stops_s": -1.0}, "camera_stops_s = -1.0"),
+    ],
+)  # fmt: skip
+def test_what_is_no_mission_of_it_is_refused(changes, sentence):
+    with pytest.raises(InputError, match=sentence):
+        steered(**changes)
+
+
+def test_each_controller_is_of_its_section():
+    assert set(CONTROLLERS) == {"operator", "mpc"}
+    slow = steered(mission__steering={"speed_m_per_s": 0.1, "stand_off_m": 1.0})
+    assert float(slow.controller.speed) == 0.1
+    assert float(slow.controller.stand_off) == 1.0
+    calm = steered(mission__steering={"air_m_per_s": 0.1}).controller.tracked.gusts
+    windy = steered(mission__steering={"air_m_per_s": 0.4}).controller.tracked.gusts
+    assert_allclose(windy.root, 4 * calm.root, rtol=1e-6)
