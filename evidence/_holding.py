@@ -36,7 +36,7 @@ class Still(AbstractController):
         return memory
 
 
-BEGINS = 180.0  # s, after which the tip is near enough to be held by what is linear
+BEGINS = 120.0  # s, after which the tip is near enough to be held by what is linear
 
 
 class ProportionalDerivative(AbstractController):
@@ -119,7 +119,9 @@ def flown_knowing(arm: Arm, steering: Steering, scene: Scene, wind: Array, late:
         memory = memory._replace(state=told, commands=commands, decisions=memory.decisions + 1)
         plan = jax.lax.cond(
             (memory.decisions - 1) % steering.every == 0,
-            lambda: steering.plan(scene, steering.now(scene, memory), moment.command, memory.plan),
+            lambda: steering.plan(
+                scene, steering.now(scene, memory), moment.command, memory.plan, jnp.asarray(False)
+            ),
             lambda: memory.plan,
         )
         limits = steering.largest_rate, steering.largest_angle

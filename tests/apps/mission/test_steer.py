@@ -51,35 +51,41 @@ def test_the_quadratic_program_is_solved_within_its_bounds(seed):
 
 @pytest.mark.slow
 def test_a_plan_goes_where_a_simulation_of_it_goes():
-    """At rest in the approach, in still air: the tip comes to the place before the opening.
+    """From some centimetres off, at rest, the tip comes to the place before the opening.
 
-    The plan is linearised, and simulated by another method as it is.
+    The plan is linearised, and simulated by another method as it is: without drag, which has no
+    slope at rest, and without the turn of the camera, for which joints turn far.
     """
-    mission = steered(arm__parameters={})
+    mission = steered(arm__parameters={"air.drag_coefficient": 1e-6})
     steering = mission.controller
     arm = dataclasses.replace(mission.model.arm, contact=None)
     scene = Scene(arm, mission.camera, mission.opening, jnp.asarray(0.1))
-    command = steering.approach + jnp.asarray([0.05, 0.03] * 10)
+    place = mission.opening.centre + steering.stand_off * mission.opening.frame[:, 0]
+    command = steering.approach
+    for _ in range(10):
+        slope = jax.jacfwd(lambda q: tip_position(arm, q))(command)
+        off = place + 0.03 - tip_position(arm, command)
+        command = command + slope.T @ jnp.linalg.solve(slope @ slope.T, off)
     mean = steering.start_at.mean.at[: len(command)].set(command)
     now = Gaussian(mean, jnp.zeros_like(steering.start_at.root))
-    steering = dataclasses.replace(steering, deep=-steering.stand_off)
+    nothing = jnp.asarray(0.0)
+    steering = dataclasses.replace(steering, deep=-steering.stand_off, aim_weight=nothing)
     last = jnp.zeros((10, len(command)))
-    plan = np.asarray(eqx.filter_jit(steering.plan)(scene, now, command, last))
+    plan = eqx.filter_jit(steering.plan)(scene, now, command, last, jnp.asarray(False))
+    plan = np.asarray(plan)
     assert np.all(np.abs(plan) <= float(steering.largest_rate))
     lengths = np.array([1, 1, 2, 2, 3, 3, 4, 4, 5, 5.0])
     times = np.concatenate([[0.0], np.cumsum(lengths)])
     rows = np.asarray(command) + np.concatenate(
         [np.zeros((1, len(command))), np.cumsum(lengths[:, None] * plan, axis=0)]
     )
-    found = simulate(arm, ramps(times, rows), times, angles=command, solver="tsit5", rtol=1e-6)
-    target = mission.opening.centre + steering.stand_off * mission.opening.frame[:, 0]
-    gaps = np.linalg.norm(np.asarray(found.tip) - np.asarray(target), axis=1)
-    assert gaps[0] > 1.0
-    assert gaps[-1] < 0.15 * gaps[0]
-    tips = [np.asarray(tip_position(arm, row)) for row in found.angles[-1:]]
+    begun = command, jnp.zeros_like(command)
+    found = simulate(arm, ramps(times, rows), times, initial=begun, solver="tsit5")
+    gaps = np.linalg.norm(np.asarray(found.tip) - np.asarray(place), axis=1)
+    assert gaps[0] > 0.05
+    assert np.all(gaps[3:] < 0.25 * gaps[0])
     slope = jax.jacfwd(lambda q: tip_position(arm, q))(found.angles[-1])
     assert np.linalg.norm(slope @ found.rates[-1]) < 0.05
-    assert_allclose(tips[-1], found.tip[-1], atol=1e-9)
 
 
 def test_what_is_expected_is_the_middle_of_what_may_come():
@@ -135,8 +141,8 @@ def test_it_knows_no_more_than_pictures_show(flown):
 
 @pytest.mark.slow
 def test_a_camera_that_stops_ends_in_the_safe_state(flown):
-    stopped = steered(mission__camera_stops_s=30.0).fly(1)
-    assert_allclose(stopped.command[:300], flown.command[:300], atol=1e-12)
+    stopped = steered(mission__camera_stops_s=15.0).fly(1)
+    assert_allclose(stopped.command[:150], flown.command[:150], atol=1e-12)
     assert stopped.reached is None
     assert stopped.reason == "the camera stopped before the tip was inside"
     late = stopped.command[-100:]
@@ -149,7 +155,8 @@ def test_the_tip_is_held_before_the_opening():
     held = steered().keeping_station(LASTS)
     outcome = held.case(1).fly(1, drawn=held)
     assert outcome.reached is None
-    assert outcome.swing < 0.2
+    late = outcome.tip[-300:]
+    assert np.sqrt(np.mean(np.sum((late - late.mean(axis=0)) ** 2, axis=1))) < 0.2
     local = np.asarray(held.opening.local(jnp.asarray(outcome.tip[-300:])))
     assert_allclose(local.mean(axis=0), [2.5, 0.0, 0.0], atol=0.2)
     still = outcome.command[-1]

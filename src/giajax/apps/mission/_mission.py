@@ -451,6 +451,10 @@ class Mission:
         }
         return dataclasses.replace(self, model=replace(self.model, drawn))
 
+    def driven_by(self, controller: AbstractController) -> Self:
+        """The mission by another controller."""
+        return dataclasses.replace(self, controller=controller)
+
     def with_model(self, model: ArmModel) -> Self:
         """The mission with other parameters of its arm and its sensors."""
         return dataclasses.replace(self, model=model)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...mechanics.arm import Arm, acceleration, tip_position
 from ...models import ArmModel, parameter_values
-from ...runtime.arrays import Array, Float, Int, Scalar, safe_norm
+from ...runtime.arrays import Array, Bool, Float, Int, Scalar, safe_norm
 from ...schema import MissionSection
 from ..tracking import Air, Gaussian, Held, TrackedArm, measured, moved, tracked_arm, usual_torque
 from ..wind import first_guess
@@ -29,7 +29,9 @@ _PIECES = np.array([1, 1, 2, 2, 3, 3, 4, 4, 5, 5])
 _HORIZON = int(_PIECES.sum())
 _AHEAD = 3.0  # how far behind the opening the camera looks, m
 _METRES = 2.0  # a turn of the camera by a radian counts as much as so many metres of the tip
-_ITERATIONS = 60  # of the quadratic program; half of them give the same commands to a thousandth
+# Of the quadratic program, which begins with the last plan; from nothing the sum of squares is then
+# within a fifth of the least.
+_ITERATIONS = 60
 _RELAXED = 1.6  # of its steps (Boyd et al. 2011, section 3.4.3)
 
 # What is taken for granted of an arm in a mission, for the tracker: its first state, rad and rad/s,
@@ -49,6 +51,7 @@ class SteeringMemory(NamedTuple):
         state: of the arm, the air and the stiffness at the time of the last picture.
         commands: from the interval before that picture until now, rad, the oldest first.
         plan: the last one, rates of the commands in each of its pieces, rad/s.
+        blind: for how long the opening was not seen, s.
         decisions: so far.
         believed: where the camera was then, m.
     """
@@ -56,6 +59,7 @@ class SteeringMemory(NamedTuple):
     state: Gaussian
     commands: Float[Array, "late joint"]
     plan: Float[Array, "piece joint"]
+    blind: Scalar
     decisions: Int[Array, ""]
     believed: Float[Array, "3"]
 
@@ -79,11 +83,11 @@ class Steering(AbstractController):
     gusts, and the stiffness as states; corners of the opening are what it sees. The tip goes
     towards a place before the opening at a speed, and through it once it is near its axis.
 
-    **Safe state.** Where the tip is less well known than `lost`, because the opening has been out
-    of view, nothing is aimed at any more: the plan is that which brings the commands to the
-    approach with the least swing, and they stay there. The arm then moves with the air, held back
-    by its damping and its stiffness alone. In the opening commands stay as they are. An estimate
-    that is no number stops all commands at once.
+    **Safe state.** Where the opening has not been seen for `patience`, nothing is aimed at any
+    more: the plan is that which brings the commands to the approach with the least swing, and they
+    stay there. The arm then moves with the air, held back by its damping and its stiffness alone.
+    In the opening commands stay as they are. An estimate that is no number stops all commands at
+    once.
 
     Attributes:
         tracked: the arm as the tracker has it.
@@ -96,7 +100,7 @@ class Steering(AbstractController):
         near: distance from the axis within which the tip goes in, m.
         deep: how far inside it goes, m; negative: it stays so far before the opening.
         sure: standard deviation of the tip beyond which it does not go in, m.
-        lost: that beyond which nothing is aimed at, m.
+        patience: without a picture of the opening, s.
         tip_weight: of a metre off for a second, squared; the unit of the other weights.
         stop_weight: of a speed of 1 m/s of the tip at the end of the plan.
         aim_weight: of the direction of the camera, a radian of which is 2 m.
@@ -116,7 +120,7 @@ class Steering(AbstractController):
     near: Scalar = number(0.5)
     deep: Scalar = number(1.0)
     sure: Scalar = number(0.5)
-    lost: Scalar = number(1.0)
+    patience: Scalar = number(20.0)
     tip_weight: Scalar = number(1.0)
     stop_weight: Scalar = number(20.0)
     aim_weight: Scalar = number(0.05)
@@ -149,6 +153,7 @@ class Steering(AbstractController):
             approach=by_hand.approach,
             largest_rate=by_hand.largest_rate,
             largest_angle=by_hand.largest_angle,
+            patience=by_hand.patience,
             deep=by_hand.deep,
             pixel=jnp.asarray(_PIXELS * section.operator.pixel_px),
             speed=jnp.asarray(stated.speed_m_per_s),
@@ -162,6 +167,7 @@ class Steering(AbstractController):
             self.start_at,
             jnp.zeros((late + 2, zero.shape[0]), zero.dtype),
             jnp.zeros((len(_PIECES), zero.shape[0]), zero.dtype),
+            jnp.zeros_like(scene.interval),
             jnp.zeros((), int),
             scene.camera.view(self.tracked.model.arm, zero).centre,
         )
@@ -174,7 +180,9 @@ class Steering(AbstractController):
         memory = self.estimate(scene, memory, picture, command)
         plan = jax.lax.cond(
             again,
-            lambda: self.plan(scene, self.now(scene, memory), command, memory.plan),
+            lambda: self.plan(
+                scene, self.now(scene, memory), command, memory.plan, memory.blind > self.patience
+            ),
             lambda: memory.plan,
         )
         limits = self.largest_rate, self.largest_angle
@@ -190,8 +198,9 @@ class Steering(AbstractController):
         state = moved(memory.state, *self.tracked.moved(memory.state.mean, held))
         state = self._corrected(scene, state, picture)
         view = scene.camera.view(self.tracked.model.arm, self.tracked.arm_state(state.mean)[0])
+        blind = jnp.where(jnp.sum(picture.seen) >= 2, 0, memory.blind + scene.interval)
         decisions = memory.decisions + 1
-        return SteeringMemory(state, commands, memory.plan, decisions, view.centre)
+        return SteeringMemory(state, commands, memory.plan, blind, decisions, view.centre)
 
     def now(self, scene: Scene, memory: SteeringMemory) -> Gaussian:
         """What the commands since the last picture make of the estimate, which stays as sure."""
@@ -236,6 +245,7 @@ class Steering(AbstractController):
         now: Gaussian,
         command: Float[Array, " joint"],
         last: Float[Array, "piece joint"],
+        lost: Bool[Array, ""],
     ) -> Float[Array, "piece joint"]:
         """Rates of the commands in each piece of a plan that begins now, rad/s.
 
@@ -243,6 +253,7 @@ class Steering(AbstractController):
             now: what is known of the arm and the air, as of `TrackedArm`.
             command: so far, rad.
             last: the plan before.
+            lost: whether it is to lead to the safe state.
         """
         tracked = self.tracked
         arm, rows = tracked.with_parameters(now.mean).arm, tracked.arm_state(now.mean)
@@ -267,8 +278,9 @@ class Steering(AbstractController):
         places = tip[None] + jnp.minimum(self.speed * seconds, far) * towards[None]
         aim = scene.opening.centre - _AHEAD * scene.opening.frame[:, 0] - tip
         aims = jnp.broadcast_to(_METRES * aim / safe_norm(aim), places.shape)
-        # What is lost aims at nothing.
-        aimed = jnp.where(spread > self.lost, 0.0, 1.0)
+        # What is lost aims at nothing but the approach.
+        aimed = jnp.where(lost, 0.0, 1.0)
+        posture = jnp.where(lost, _SAFE, 1.0) * self.posture_weight
         weights = aimed * jnp.repeat(jnp.stack([self.tip_weight, self.aim_weight]), 3)
 
         angles, by_plan = ahead.alone[:, :joints], ahead.by_plan[:, :joints]
@@ -285,7 +297,7 @@ class Steering(AbstractController):
                 jnp.einsum("oj,jpk->opk", slope[:3], ahead.by_plan[-1, joints:]),
             ),
             (
-                self.posture_weight, self.approach - command,
+                posture, self.approach - command,
                 jnp.einsum("p,jk->jpk", lengths, each),
             ),
             (
@@ -302,7 +314,7 @@ class Steering(AbstractController):
         found = box_least_squares(
             jnp.concatenate(matrix), jnp.concatenate(values), low, high, last.ravel(), _ITERATIONS
         ).reshape(last.shape)
-        stopped = ((spread > self.lost) & inside) | ~jnp.all(jnp.isfinite(found))
+        stopped = (lost & inside) | ~jnp.all(jnp.isfinite(found))
         return jnp.where(stopped, 0, found)
 
     def _target(
@@ -326,6 +338,7 @@ class Steering(AbstractController):
         return low.ravel(), high.ravel()
 
 
+_SAFE = 30.0  # times the weight of the posture, on the way to the safe state
 _PIXELS = 1.5  # of the stated deviation of a corner, as the lens is linearised
 
 
