@@ -1,4 +1,4 @@
-"""`giajax mission`: an operator brings an arm to an opening, once or many times."""
+"""`giajax mission`: an arm is brought to an opening, or held before it, once or many times."""
 
 import math
 import shlex
@@ -121,7 +121,7 @@ Examples:
   giajax mission missions/naraha.toml --speed 0.3 --seed 4 --out flown
                             in another wind, with files and a run
   giajax mission missions/naraha.toml --controller mpc
-                            by model predictive control in place of an operator
+                            by model predictive control
   giajax mission missions/naraha.toml --controller mpc --keep-station 300
                             held before the opening for 300 s
   giajax mission missions/naraha.toml --page flown.html
@@ -170,7 +170,7 @@ def mission(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Have an operator bring an arm to an opening by its camera.
+    """Bring an arm to an opening by its camera, or hold it before the opening.
 
     The camera is at the tip. As in the paper's mock-up: gusts, joints that remember, a late
     picture, a time limit. Once, as a run that `giajax view` plays, or many times: success against
