@@ -36,7 +36,7 @@ class Still(AbstractController):
         return memory
 
 
-BEGINS = 120.0  # s, after which the tip is near enough to be held by what is linear
+BEGINS = 60.0  # s, after which the tip is near enough to be held by what is linear
 
 
 class ProportionalDerivative(AbstractController):

@@ -64,7 +64,10 @@ def test_a_mission_and_many(tmp_path, capsys):
         (("--cases", "3", "--page", "x.html"), "--page is of one mission: leave --cases out"),
         (("--controller", "pid"), "the controller is 'pid': give one of operator, mpc"),
         (("--keep-station", "0"), "--keep-station is 0: give seconds from 1 to 3600"),
-        (("--keep-station", "9", "--cases", "3"), "--keep-station is of one mission: leave --cases"),
+        (
+            ("--keep-station", "9", "--cases", "3"),
+            "--keep-station is of one mission: leave --cases",
+        ),
     ],
 )
 def test_what_cannot_be_flown_is_refused(capsys, words, sentence):

@@ -1,5 +1,6 @@
 """`giajax mission`: an arm is brought to an opening, or held before it, once or many times."""
 
+import dataclasses
 import math
 import shlex
 import sys
@@ -54,9 +55,12 @@ def tell(
         rows.append([each.obstacle, *cells])
     print_table(["obstacle", "links", "for s", "flattened mm", "most N", "N s"], rows)
     wind = mission.section.wind.speed_m_per_s
-    if not mission.enters:
+    if not mission.enters and math.isfinite(outcome.swing):
+        late = outcome.tip[len(outcome.tip) // 2 :]
+        away = mission.opening.centre - late.mean(axis=0)
         typer.echo(
-            f"\ntip within {outcome.swing:.2f} m (root mean square about its mean, second half of "
+            f"\ntip within {outcome.swing:.2f} m (root mean square about its mean, "
+            f"{float(sum(away**2)) ** 0.5:.2f} m from the opening; second half of "
             f"{outcome.times[-1]:.0f} s), in air of {wind:g} m/s"
         )
     elif outcome.reached is None:
@@ -196,13 +200,24 @@ def mission(
     values = settings(pairs)
     definition = Definition.load(file)
     configure()
-    from ..apps.mission import CASES_FILES, MISSION_FILES, Mission, fly_cases, motion
+    from ..apps.mission import (
+        CASES_FILES,
+        CONTROLLERS,
+        MISSION_FILES,
+        Mission,
+        fly_cases,
+        motion,
+    )  # fmt: skip
 
     if out is not None:
         names = (*MISSION_FILES, *_RUN) if cases is None else CASES_FILES
         check_output_folder(out, names, force=force)
     planned = Mission.from_definition(definition, str(file), controller=controller)
-    planned = planned.with_model(with_settings(planned.model, values))
+    if values:
+        planned = planned.with_model(with_settings(planned.model, values))
+        # That is the arm as it is drawn, also for who tracks it.
+        made = CONTROLLERS[controller](planned.section, planned.model)
+        planned = dataclasses.replace(planned, controller=made)
     if keep_station is not None:
         planned = planned.keeping_station(keep_station)
     if cases is not None:

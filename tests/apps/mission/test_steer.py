@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import json
 import tomllib
 from pathlib import Path
 
@@ -14,11 +15,19 @@ from numpy.testing import assert_allclose
 from scipy.optimize import lsq_linear
 
 from giajax import Definition, InputError, simulate
-from giajax.apps.mission import CONTROLLERS, Mission, Picture, Scene, box_least_squares
+from giajax.apps.mission import (
+    CONTROLLERS,
+    Mission,
+    Picture,
+    Scene,
+    box_least_squares,
+    mission_figure,
+    mission_json,
+)
 from giajax.apps.tracking import Gaussian, Held
 from giajax.mechanics.arm import tip_position
 from giajax.schema.parameters import replace
-from giajax.simulation import ramps
+from giajax.simulation import Stepper, ramps
 
 FOLDER = Path(__file__).resolve().parents[3] / "missions"
 LASTS = 120.0  # s: of all missions here, so that they are one program
@@ -88,6 +97,31 @@ def test_a_plan_goes_where_a_simulation_of_it_goes():
     assert np.linalg.norm(slope @ found.rates[-1]) < 0.05
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [0, 3])
+def test_without_a_picture_the_estimate_is_the_simulated_state(late):
+    """Each command belongs to its interval, from the start on, however late pictures are."""
+    mission = steered()
+    steering = mission.controller
+    arm = dataclasses.replace(mission.model.arm, contact=None)
+    scene = Scene(arm, mission.camera, mission.opening, jnp.asarray(0.1))
+    memory = steering.start(scene, late)
+    stepper = Stepper(arm, 0.1)
+    advance = eqx.filter_jit(stepper.advance)
+    estimate, now = eqx.filter_jit(steering.estimate), eqx.filter_jit(steering.now)
+    moment, gaps = stepper.start(), []
+    turn = jnp.deg2rad(jnp.linspace(0.2, -0.1, 20))
+    # The air that the tracker begins with is still, as its mean.
+    for row in range(12):
+        nothing = Picture(jnp.zeros((4, 2)), jnp.zeros(4, bool), jnp.asarray(False), turn)
+        memory = estimate(scene, memory, nothing, moment.command)
+        found = steering.tracked.arm_state(now(scene, memory).mean)
+        gaps.append(np.abs(np.asarray(found[:2] - moment.state[:2])).max())
+        moment = advance(moment, moment.command + (1 + row % 3) * turn)
+    assert np.abs(moment.rates).max() > 1e-2
+    assert max(gaps) < 1e-6
+
+
 def test_what_is_expected_is_the_middle_of_what_may_come():
     """Without chance the tracker's arm moves as its mean does."""
     tracked = steered().controller.tracked
@@ -151,7 +185,7 @@ def test_a_camera_that_stops_ends_in_the_safe_state(flown):
 
 @pytest.mark.slow
 def test_the_tip_is_held_before_the_opening():
-    """In air that moves the arm by more than a metre; the operator's command goes to and fro."""
+    """In air that moves the tip by more than a metre (evidence), from pictures."""
     held = steered().keeping_station(LASTS)
     outcome = held.case(1).fly(1, drawn=held)
     assert outcome.reached is None
@@ -159,20 +193,26 @@ def test_the_tip_is_held_before_the_opening():
     assert np.sqrt(np.mean(np.sum((late - late.mean(axis=0)) ** 2, axis=1))) < 0.2
     local = np.asarray(held.opening.local(jnp.asarray(outcome.tip[-300:])))
     assert_allclose(local.mean(axis=0), [2.5, 0.0, 0.0], atol=0.2)
-    still = outcome.command[-1]
-    assert np.abs(still).max() <= np.deg2rad(60)
+    facts = json.loads(mission_json(held, outcome))
+    assert (facts["controller"], facts["keeps_station"]) == ("mpc", True)
+    assert facts["swing_m"] == outcome.swing
+    assert "before the opening within" in mission_figure(held, outcome).get_suptitle()
 
 
+@pytest.mark.slow
 def test_an_estimate_that_is_no_number_stops_all_commands():
     mission = steered()
     steering = mission.controller
     scene = Scene(mission.model.arm, mission.camera, mission.opening, jnp.asarray(0.1))
     memory = steering.start(scene, 4)
+    moves = jnp.full_like(memory.plan, 0.01)
     lost = memory._replace(state=memory.state._replace(mean=memory.state.mean * jnp.nan))
     nothing = Picture(jnp.zeros((4, 2)), jnp.zeros(4, bool), jnp.asarray(False), steering.approach)
     decide = eqx.filter_jit(steering.decide)
     command = jnp.linspace(-0.1, 0.1, 20)
-    assert_allclose(decide(scene, lost, nothing, command)[1], command, atol=1e-15)
+    for decisions in (0, 1):
+        given = lost._replace(plan=moves, decisions=jnp.asarray(decisions))
+        assert_allclose(decide(scene, given, nothing, command)[1], command, atol=1e-15)
     assert np.abs(decide(scene, memory, nothing, command)[1] - command).max() > 1e-4
 
 

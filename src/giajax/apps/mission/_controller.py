@@ -1,7 +1,7 @@
 """What every controller of a mission is given: an opening, a picture, and the arm as drawn."""
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ from ...mechanics.arm import Arm
 from ...mechanics.obstacles import WallWithOpening
 from ...models import Pinhole
 from ...runtime.arrays import Array, Bool, Float, Scalar, rotate
+from ...runtime.plugins import optional
 from ...runtime.text import InputError
 
 
@@ -42,6 +43,10 @@ class Opening(NamedTuple):
         """Points of the base frame as distances outwards, to the left and up, m."""
         rows = points.reshape(-1, 3) - self.centre[None]
         return (rows @ self.frame).reshape(points.shape)
+
+    def holds(self, local: Float[Array, "3"]) -> Bool[Array, ""]:
+        """Whether a point is in the frame, or behind it."""
+        return (local[0] < 0) & (self.beside(local) == 0)
 
     def beside(self, local: Float[Array, "3"]) -> Scalar:
         """How far a point is outside the frame, seen along the way through it, m; 0 within."""
@@ -124,6 +129,18 @@ class AbstractController(eqx.Module):
     @abc.abstractmethod
     def believed(self, scene: Scene, memory: Any) -> Float[Array, "3"]:
         """Where it believes the camera to be, in the base frame, m."""
+
+    @optional
+    def keeping_station(self) -> Self:
+        """The controller that stays before the opening, in place of going in.
+
+        Raises:
+            InputError: it cannot.
+        """
+        raise InputError(
+            f"{type(self).__name__} keeps no station: give its class a method keeping_station, or "
+            "take the controller operator or mpc"
+        )
 
 
 def within_limits(

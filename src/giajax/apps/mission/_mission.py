@@ -193,7 +193,9 @@ def flight(
 
     moment = stepper.start(wind=wind[0])
     first = picture(moment, jnp.zeros_like(error[0]))
-    waiting = jax.tree.map(lambda x: jnp.broadcast_to(x, (late + 1, *x.shape)), first)
+    # Until the first picture has arrived there is none.
+    none = first._replace(seen=jnp.zeros_like(first.seen), room=jnp.zeros_like(first.room))
+    waiting = jax.tree.map(lambda x: jnp.broadcast_to(x, (late + 1, *x.shape)), none)
     now = _Now(moment, waiting, controller.start(scene, late), jnp.zeros_like(interval))
     return jax.lax.scan(row, now, (wind[1:], error))[1]
 
@@ -266,7 +268,7 @@ class Outcome:
 def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row width"]) -> Outcome:
     """What rows of a mission, and the air in it, come to."""
     table: Rows = jax.tree.map(np.asarray, rows)
-    held = table.inside >= mission.section.hold_s
+    held = (table.inside >= mission.section.hold_s) & mission.enters
     end = int(np.argmax(held)) + 1 if held.any() else len(held)
     table = jax.tree.map(lambda each: each[:end], table)
     arm = mission.model.arm
@@ -278,9 +280,10 @@ def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row widt
     nearest = float(gap.min()) if gap.size else np.nan
     reason = "" if reached is not None else _reason(table, bool(sound.all()), nearest)
     stops = mission.section.camera_stops_s
-    if not mission.enters and sound.all():
+    fails = reached is None and sound.all()
+    if fails and not mission.enters:
         reason = "it was to stay before the opening"
-    elif reached is None and stops is not None and stops < mission.times[end]:
+    elif fails and stops is not None and not np.any(table.inside[table.time <= stops] > 0):
         reason = "the camera stopped before the tip was inside"
     return Outcome(
         reached=reached,
@@ -372,6 +375,7 @@ class Mission:
     Attributes:
         model: of the arm, with its obstacles and its cameras.
         controller: who drives it.
+        driver: what files call that.
         enters: whether the tip shall go in.
     """
 
@@ -380,6 +384,7 @@ class Mission:
     opening: Opening
     camera: Pinhole
     controller: AbstractController
+    driver: str
     enters: bool = True
 
     @classmethod
@@ -395,7 +400,7 @@ class Mission:
 
         Raises:
             InputError: it has no `[mission]`, no opening, or no camera at the tip of its arm; its
-                arm is too short, or none that the controller can drive; an unknown controller.
+                arm is too short, or none that mpc can track; an unknown controller.
         """
         if controller not in CONTROLLERS:
             known = ", ".join(CONTROLLERS)
@@ -424,16 +429,20 @@ class Mission:
                 f"the opening is {far:.1f} m from the base, and the arm is {reach:.1f} m long: "
                 "give a longer arm, or a nearer opening"
             )
-        return cls(model, section, opening, camera, CONTROLLERS[controller](section, model))
+        return cls(
+            model, section, opening, camera, CONTROLLERS[controller](section, model), controller
+        )
 
     def keeping_station(self, seconds: float) -> Self:
         """The mission that stays before the opening, at the stand-off, until its end.
 
         Arguments:
             seconds: that it lasts.
+
+        Raises:
+            InputError: the controller keeps no station.
         """
-        stays: Any = self.controller
-        stays = dataclasses.replace(stays, deep=-stays.stand_off)
+        stays = self.controller.keeping_station()
         section = self.section.model_copy(update={"limit_s": seconds})
         return dataclasses.replace(self, section=section, controller=stays, enters=False)
 
@@ -452,8 +461,8 @@ class Mission:
         return dataclasses.replace(self, model=replace(self.model, drawn))
 
     def driven_by(self, controller: AbstractController) -> Self:
-        """The mission by another controller."""
-        return dataclasses.replace(self, controller=controller)
+        """The mission by another controller, which files call by its class."""
+        return dataclasses.replace(self, controller=controller, driver=type(controller).__name__)
 
     def with_model(self, model: ArmModel) -> Self:
         """The mission with other parameters of its arm and its sensors."""
@@ -478,7 +487,8 @@ class Mission:
 
         Arguments:
             seed: of the air, and of what the operator sees wrong.
-            drawn: the mission whose arm the operator takes this one's for; itself by default.
+            drawn: the mission whose arm the operator takes this one's for; itself by default. The
+                arm that mpc takes it for is that with which it was made.
         """
         section, arm = self.section, self.model.arm
         wind = self.wind(seed)
@@ -486,7 +496,8 @@ class Mission:
         error = section.operator.pixel_px * random.normal(size=(len(wind) - 1, 4, 2))
         if section.camera_stops_s is not None:
             error[self.times[:-1] >= section.camera_stops_s] = np.nan
-        numbers = (section.beyond_m, section.hold_s, _TOLERANCE)
+        # Who is to stay before the opening is not done by going in.
+        numbers = (section.beyond_m, section.hold_s if self.enters else np.inf, _TOLERANCE)
         known = (self if drawn is None else drawn).model.arm
         rows = flight(
             arm,

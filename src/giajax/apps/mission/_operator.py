@@ -1,5 +1,6 @@
 """Who drives the arm: commands from what a picture shows, with limits."""
 
+import dataclasses
 from typing import NamedTuple, Self
 
 import equinox as eqx
@@ -289,6 +290,10 @@ class Operator(AbstractController):
         limits = self.largest_rate, self.largest_angle
         after = within_limits(command, rates, interval, *limits)
         return OperatorMemory(sight, blind), jnp.where(picture.room, command, after)
+
+    def keeping_station(self) -> Self:
+        """The same, at the stand-off."""
+        return dataclasses.replace(self, deep=-self.stand_off)
 
     def believed(self, scene: Scene, memory: OperatorMemory) -> Float[Array, "3"]:
         """The camera of the filter."""

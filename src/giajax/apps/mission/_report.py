@@ -50,6 +50,8 @@ def mission_json(mission: Mission, outcome: Outcome) -> str:
         "reason": outcome.reason or None,
         "ended_s": round(float(outcome.times[-1]), 6),
         "nearest_m": outcome.nearest,
+        "controller": mission.driver,
+        "keeps_station": not mission.enters,
         "swing_m": None if mission.enters else outcome.swing,
         "touched": [
             {
@@ -70,12 +72,12 @@ def mission_json(mission: Mission, outcome: Outcome) -> str:
 def mission_figure(mission: Mission, outcome: Outcome) -> Figure:
     """Shapes of the arm from the side and from above, and the way of the tip to the opening."""
     how = f"not reached: {outcome.reason}"
-    if not mission.enters:
+    if not mission.enters and np.isfinite(outcome.swing):
         how = f"before the opening within {outcome.swing:.2f} m"
     elif outcome.reached is not None:
         how = f"inside after {outcome.reached:.0f} s"
     wind = mission.section.wind.speed_m_per_s
-    figure = new_figure(11.0, 7.0, f"Mission in air of {wind:g} m/s: {how}")
+    figure = new_figure(11.0, 7.0, f"Mission in air of {wind:g} m/s by {mission.driver}: {how}")
     grid = figure.add_gridspec(4, 2)
     _shapes(figure.add_subplot(grid[:3, 0]), mission, outcome, "xz")
     _shapes(figure.add_subplot(grid[3, 0]), mission, outcome, "xy")

@@ -133,10 +133,12 @@ class Steering(AbstractController):
         """Who a `[mission]` says, with the arm as it is drawn.
 
         Raises:
-            InputError: an arm that is not tracked, or an opening that it does not reach.
+            InputError: an arm that is not tracked.
         """
         by_hand, stated = Operator.from_section(section, model.arm.count), section.steering
-        free: Any = dataclasses.replace(model.arm, contact=None)
+        # Neither what it leans on nor what blows is told.
+        air_of_arm: Any = dataclasses.replace(model.arm.air, wind=None, wind_field=None)
+        free: Any = dataclasses.replace(model.arm, contact=None, air=air_of_arm)
         model = dataclasses.replace(model, arm=free)
         speed = stated.air_m_per_s
         flow = _MEAN * speed
@@ -185,8 +187,10 @@ class Steering(AbstractController):
             ),
             lambda: memory.plan,
         )
+        sound = jnp.all(jnp.isfinite(memory.state.mean)) & jnp.all(jnp.isfinite(memory.state.root))
+        rates = jnp.where(sound, plan[0], 0)
         limits = self.largest_rate, self.largest_angle
-        after = within_limits(command, plan[0], scene.interval, *limits)
+        after = within_limits(command, rates, scene.interval, *limits)
         return memory._replace(plan=plan), after
 
     def estimate(
@@ -196,6 +200,9 @@ class Steering(AbstractController):
         commands = jnp.concatenate([memory.commands[1:], command[None]])
         held = _still_air(scene.interval, commands[:2])
         state = moved(memory.state, *self.tracked.moved(memory.state.mean, held))
+        # The first picture that arrives is of the start.
+        begun = memory.decisions > len(commands) - 2
+        state = jax.tree.map(lambda new, old: jnp.where(begun, new, old), state, memory.state)
         state = self._corrected(scene, state, picture)
         view = scene.camera.view(self.tracked.model.arm, self.tracked.arm_state(state.mean)[0])
         blind = jnp.where(jnp.sum(picture.seen) >= 2, 0, memory.blind + scene.interval)
@@ -205,11 +212,20 @@ class Steering(AbstractController):
     def now(self, scene: Scene, memory: SteeringMemory) -> Gaussian:
         """What the commands since the last picture make of the estimate, which stays as sure."""
 
-        def moved_on(vector: Array, command: Array) -> tuple[Array, None]:
-            return self.tracked.expected(vector, _still_air(scene.interval, command)), None
+        def moved_on(vector: Array, given: tuple[Array, Array]) -> tuple[Array, None]:
+            command, begun = given
+            after = self.tracked.expected(vector, _still_air(scene.interval, command))
+            return jnp.where(begun, after, vector), None
 
         since = jnp.stack([memory.commands[1:-1], memory.commands[2:]], axis=1)
-        return Gaussian(jax.lax.scan(moved_on, memory.state.mean, since)[0], memory.state.root)
+        # Nothing moved before the start.
+        begun = jnp.arange(len(since)) > len(since) - memory.decisions
+        mean = jax.lax.scan(moved_on, memory.state.mean, (since, begun))[0]
+        return Gaussian(mean, memory.state.root)
+
+    def keeping_station(self) -> Self:
+        """The same, at the stand-off."""
+        return dataclasses.replace(self, deep=-self.stand_off)
 
     def believed(self, scene: Scene, memory: SteeringMemory) -> Float[Array, "3"]:
         """The camera at the time of the last picture."""
@@ -270,7 +286,7 @@ class Steering(AbstractController):
         tip = here[:3]
         spread = safe_norm((slope[:3] @ now.root[:joints]).ravel())
         local = scene.opening.local(tip)
-        inside = local[0] < -scene.opening.thickness
+        inside = scene.opening.holds(local)
         gap = self._target(scene.opening, local, spread) - tip
         far = safe_norm(gap)
         towards = gap / jnp.maximum(far, 1e-9)
@@ -324,7 +340,7 @@ class Steering(AbstractController):
         outside = jnp.clip(2 * (safe_norm(local[1:]) - self.near), -self.deep, self.stand_off)
         outside = jnp.where(spread > self.sure, self.stand_off, outside)
         # Where it is inside it stays inside.
-        outside = jnp.where(local[0] < -opening.thickness, -self.deep, outside)
+        outside = jnp.where(opening.holds(local), -self.deep, outside)
         return opening.centre + outside * opening.frame[:, 0]
 
     def _limits(self, command: Array) -> tuple[Array, Array]:
