@@ -338,8 +338,8 @@ def table(figures: Figures) -> list[str]:
         f"picture {held['latency_s']:g} s late where no other time is stated; the swing is the "
         "root mean square of the tip about its mean in the second half. The gains of PD (1, s) and "
         "the weight of LQG are the best of a grid on other arms; they begin after 60 s. A decision "
-        f"takes {step['median']:g} ms in the middle, and more than {step['p99']:g} ms one in a hundred "
-        "times. The operator is retuned: 0.3 m/s, and 2 deg/s on the way to its approach.",
+        f"takes {step['median']:g} ms in the middle, and more than {step['p99']:g} ms one in a "
+        "hundred times. The operator is retuned: 0.3 m/s, and 2 deg/s on the way to its approach.",
     ]
 
 
