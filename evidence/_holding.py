@@ -60,7 +60,7 @@ class ProportionalDerivative(AbstractController):
         offset = slope.T @ jnp.linalg.solve(slope @ slope.T + 1e-3 * jnp.eye(3), wanted)
         held = memory.decisions * scene.interval > BEGINS
         rates = (self.rest + jnp.where(held, offset, 0) - command) / scene.interval
-        limits = self.steering.largest_rate, self.steering.largest_angle
+        limits = self.steering.rate_limit, self.steering.angle_limit
         return memory, within_limits(command, rates, scene.interval, *limits)
 
     def believed(self, scene: Scene, memory: Any) -> Array:
@@ -84,7 +84,7 @@ class LinearQuadraticGaussian(AbstractController):
         off = state - jnp.concatenate([self.rest, jnp.zeros_like(self.rest)])
         held = memory.decisions * scene.interval > BEGINS
         rates = (self.rest - jnp.where(held, self.gain @ off, 0) - command) / scene.interval
-        limits = self.steering.largest_rate, self.steering.largest_angle
+        limits = self.steering.rate_limit, self.steering.angle_limit
         return memory, within_limits(command, rates, scene.interval, *limits)
 
     def believed(self, scene: Scene, memory: Any) -> Array:
@@ -124,7 +124,7 @@ def flown_knowing(arm: Arm, steering: Steering, scene: Scene, wind: Array, late:
             ),
             lambda: memory.plan,
         )
-        limits = steering.largest_rate, steering.largest_angle
+        limits = steering.rate_limit, steering.angle_limit
         command = within_limits(moment.command, plan[0], interval, *limits)
         moment = stepper.advance(moment, command, blowing)
         return (moment, vectors, memory._replace(plan=plan)), tip_position(arm, moment.angles)

@@ -144,7 +144,7 @@ def _still(mission: Any) -> Any:
     """Joints go to commands that have the resting tip where it is to be held, and stay there."""
     from ._holding import Still
 
-    return Still(_commands_before(mission), mission.controller.largest_rate)
+    return Still(_commands_before(mission), mission.controller.rate_limit)
 
 
 def _commands_before(mission: Any) -> Any:

@@ -174,7 +174,7 @@ def mission(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Bring an arm to an opening by its camera, or hold it before the opening.
+    """Bring an arm to an opening by camera, or hold it before it.
 
     The camera is at the tip. As in the paper's mock-up: gusts, joints that remember, a late
     picture, a time limit. Once, as a run that `giajax view` plays, or many times: success against

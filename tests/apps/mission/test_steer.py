@@ -82,7 +82,7 @@ def test_a_plan_goes_where_a_simulation_of_it_goes():
     last = jnp.zeros((10, len(command)))
     plan = eqx.filter_jit(steering.plan)(scene, now, command, last, jnp.asarray(False))
     plan = np.asarray(plan)
-    assert np.all(np.abs(plan) <= float(steering.largest_rate))
+    assert np.all(np.abs(plan) <= float(steering.rate_limit))
     lengths = np.array([1, 1, 2, 2, 3, 3, 4, 4, 5, 5.0])
     times = np.concatenate([[0.0], np.cumsum(lengths)])
     rows = np.asarray(command) + np.concatenate(

@@ -93,7 +93,7 @@ class Steering(AbstractController):
         tracked: the arm as the tracker has it.
         start_at: what is known at the start.
         approach: commanded angles from which the opening is in view, rad.
-        largest_rate, largest_angle: of the command of a joint, rad/s and rad.
+        rate_limit, angle_limit: of the command of a joint, rad/s and rad.
         pixel: standard deviation of a corner in the picture, px.
         speed: of the tip towards where it shall be, m/s.
         stand_off: distance before the opening at which the tip goes to its axis, m.
@@ -112,8 +112,8 @@ class Steering(AbstractController):
     tracked: TrackedArm
     start_at: Gaussian
     approach: Float[Array, " joint"]
-    largest_rate: Scalar = number(np.deg2rad(2.0))
-    largest_angle: Scalar = number(np.deg2rad(60.0))
+    rate_limit: Scalar = number(np.deg2rad(2.0))
+    angle_limit: Scalar = number(np.deg2rad(60.0))
     pixel: Scalar = number(1.5)
     speed: Scalar = number(0.4)
     stand_off: Scalar = number(2.5)
@@ -153,8 +153,8 @@ class Steering(AbstractController):
             tracked=tracked,
             start_at=_known_at_first(tracked, air, {path: float(values[path]) for path in paths}),
             approach=by_hand.approach,
-            largest_rate=by_hand.largest_rate,
-            largest_angle=by_hand.largest_angle,
+            rate_limit=by_hand.largest_rate,
+            angle_limit=by_hand.largest_angle,
             patience=by_hand.patience,
             deep=by_hand.deep,
             pixel=jnp.asarray(_PIXELS * section.operator.pixel_px),
@@ -189,7 +189,7 @@ class Steering(AbstractController):
         )
         sound = jnp.all(jnp.isfinite(memory.state.mean)) & jnp.all(jnp.isfinite(memory.state.root))
         rates = jnp.where(sound, plan[0], 0)
-        limits = self.largest_rate, self.largest_angle
+        limits = self.rate_limit, self.angle_limit
         after = within_limits(command, rates, scene.interval, *limits)
         return memory._replace(plan=plan), after
 
@@ -345,9 +345,9 @@ class Steering(AbstractController):
 
     def _limits(self, command: Array) -> tuple[Array, Array]:
         """Of the rates of a plan; in its first piece also by what is left of the angles."""
-        whole = jnp.broadcast_to(self.largest_rate, (len(_PIECES), *command.shape))
+        whole = jnp.broadcast_to(self.rate_limit, (len(_PIECES), *command.shape))
         left = [
-            jnp.clip(sign * self.largest_angle - command, -self.largest_rate, self.largest_rate)
+            jnp.clip(sign * self.angle_limit - command, -self.rate_limit, self.rate_limit)
             for sign in (-1, 1)
         ]
         low, high = (-whole).at[0].set(left[0]), whole.at[0].set(left[1])
