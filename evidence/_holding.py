@@ -1,7 +1,9 @@
 """Others who hold the tip: controllers of one's own, beside those of `giajax mission`."""
 
+import abc
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -39,13 +41,19 @@ class Still(AbstractController):
 BEGINS = 60.0  # s, after which the tip is near enough to be held by what is linear
 
 
-class ProportionalDerivative(AbstractController):
-    """Commands that differ from those at rest by how far the tip is off, and by its velocity."""
+class AbstractFeedback(AbstractController):
+    """Commands that differ from those at rest by a law of the tracker's estimate.
 
-    steering: Steering
-    rest: Array
-    gain: Array
-    rate_gain: Array
+    Attributes:
+        rest: commands that have the resting tip where it is to be held, rad.
+    """
+
+    steering: eqx.AbstractVar[Steering]
+    rest: eqx.AbstractVar[Array]
+
+    @abc.abstractmethod
+    def offset(self, scene: Scene, angles: Array, rates: Array) -> Array:
+        """By how much, rad, at angles and rates of the joints."""
 
     def start(self, scene: Scene, late: int) -> Any:
         return self.steering.start(scene, late)
@@ -53,42 +61,41 @@ class ProportionalDerivative(AbstractController):
     def decide(self, scene: Scene, memory: Any, picture: Picture, command: Array) -> Any:
         memory = self.steering.estimate(scene, memory, picture, command)
         angles, rates = self.steering.tracked.arm_state(self.steering.now(scene, memory).mean)[:2]
-        target = scene.opening.centre + self.steering.stand_off * scene.opening.frame[:, 0]
-        tip = tip_position(scene.arm, angles)
-        slope = jax.jacfwd(lambda q: tip_position(scene.arm, q))(angles)
-        wanted = self.gain * (target - tip) - self.rate_gain * (slope @ rates)
-        offset = slope.T @ jnp.linalg.solve(slope @ slope.T + 1e-3 * jnp.eye(3), wanted)
         held = memory.decisions * scene.interval > BEGINS
-        rates = (self.rest + jnp.where(held, offset, 0) - command) / scene.interval
+        offset = jnp.where(held, self.offset(scene, angles, rates), 0)
+        moves = (self.rest + offset - command) / scene.interval
         limits = self.steering.rate_limit, self.steering.angle_limit
-        return memory, within_limits(command, rates, scene.interval, *limits)
+        return memory, within_limits(command, moves, scene.interval, *limits)
 
     def believed(self, scene: Scene, memory: Any) -> Array:
         return memory.believed
 
 
-class LinearQuadraticGaussian(AbstractController):
-    """A constant gain on the estimate of the tracker."""
+class ProportionalDerivative(AbstractFeedback):
+    """By how far the tip is off, and by its velocity."""
+
+    steering: Steering
+    rest: Array
+    gain: Array
+    rate_gain: Array
+
+    def offset(self, scene: Scene, angles: Array, rates: Array) -> Array:
+        target = scene.opening.centre + self.steering.stand_off * scene.opening.frame[:, 0]
+        tip = tip_position(scene.arm, angles)
+        slope = jax.jacfwd(lambda q: tip_position(scene.arm, q))(angles)
+        wanted = self.gain * (target - tip) - self.rate_gain * (slope @ rates)
+        return slope.T @ jnp.linalg.solve(slope @ slope.T + 1e-3 * jnp.eye(3), wanted)
+
+
+class LinearQuadraticGaussian(AbstractFeedback):
+    """By a constant gain on angles and rates."""
 
     steering: Steering
     rest: Array
     gain: Array
 
-    def start(self, scene: Scene, late: int) -> Any:
-        return self.steering.start(scene, late)
-
-    def decide(self, scene: Scene, memory: Any, picture: Picture, command: Array) -> Any:
-        memory = self.steering.estimate(scene, memory, picture, command)
-        joints = command.shape[0]
-        state = self.steering.now(scene, memory).mean[: 2 * joints]
-        off = state - jnp.concatenate([self.rest, jnp.zeros_like(self.rest)])
-        held = memory.decisions * scene.interval > BEGINS
-        rates = (self.rest - jnp.where(held, self.gain @ off, 0) - command) / scene.interval
-        limits = self.steering.rate_limit, self.steering.angle_limit
-        return memory, within_limits(command, rates, scene.interval, *limits)
-
-    def believed(self, scene: Scene, memory: Any) -> Array:
-        return memory.believed
+    def offset(self, scene: Scene, angles: Array, rates: Array) -> Array:
+        return -self.gain @ jnp.concatenate([angles - self.rest, rates])
 
 
 @program

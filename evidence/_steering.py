@@ -22,7 +22,7 @@ WINDS = (0.2, 0.3)
 RETUNED = {"speed_m_per_s": 0.3, "approach_rate_deg_per_s": 2.0}
 LATENCY, LATENCIES = 0.5, (0.2, 1.0)
 HELD, SHORT = 360.0, 60.0  # s
-# Gains that were the best of a grid: m of the tip by m off, and by m/s; weight of a command.
+# Grids of gains: m of the tip by m off, and by m/s; weight of a command.
 PD_GAINS = ((3.0, 10.0), (10.0, 3.0), (10.0, 10.0), (10.0, 30.0), (30.0, 10.0))
 LQG_WEIGHTS, RECURSIONS = (3.0, 10.0, 30.0), 6000
 LQG = "LQG of the arm without its air"
@@ -131,13 +131,16 @@ def _held(count: int, seed: int, seconds: float, *, alone: bool = False) -> dict
 
 
 def _swings(mission: Any, seeds: list[int]) -> list[float]:
-    from concurrent.futures import ThreadPoolExecutor
+    from giajax.runtime.parallel import run_in_threads
+    from giajax.runtime.process import cores
 
-    def swing(seed: int) -> float:
-        return float(mission.case(seed).fly(seed, drawn=mission).swing)
+    def job(seed: int) -> Any:
+        return lambda tell: float(mission.case(seed).fly(seed, drawn=mission).swing)
 
-    with ThreadPoolExecutor(2) as threads:
-        return list(threads.map(swing, seeds))
+    found = run_in_threads([job(seed) for seed in seeds], cores(), until=lambda _: False)
+    if None in found:
+        raise KeyboardInterrupt
+    return [swing for swing in found if swing is not None]
 
 
 def _still(mission: Any) -> Any:
@@ -229,6 +232,7 @@ def _lqg(mission: Any) -> dict[str, Any]:
 
 def _knowing(mission: Any, seed: int) -> dict[str, Any]:
     """A mission whose control is told the state, the air and the stiffness, late."""
+    import jax
     import jax.numpy as jnp
 
     from giajax.apps.mission import Scene, Steering
@@ -245,8 +249,8 @@ def _knowing(mission: Any, seed: int) -> dict[str, Any]:
     tip = np.asarray(flown_knowing(drawn.model.arm, steering, scene, jnp.asarray(wind), late))
     half = tip[len(tip) // 2 :]
     local = np.asarray(mission.opening.local(jnp.asarray(tip)))
-    beside = np.max(np.abs(local[:, 1:]) - np.asarray(mission.opening.half), axis=1)
-    inside = (local[:, 0] < -mission.section.beyond_m) & (beside <= 0)
+    beside = np.asarray(jax.vmap(mission.opening.beside)(jnp.asarray(local)))
+    inside = (local[:, 0] < -mission.section.beyond_m) & (beside == 0)
     held = round(mission.section.hold_s / INTERVAL)
     stays = np.convolve(inside, np.ones(held), "valid") == held
     return {
