@@ -38,6 +38,24 @@ class Still(AbstractController):
         return memory
 
 
+class Scaled(AbstractController):
+    """Steering of joints that turn by a multiple of what they are told, which it does not know."""
+
+    steering: Steering
+    factor: Array
+
+    def start(self, scene: Scene, late: int) -> Any:
+        return self.steering.start(scene, late), jnp.zeros_like(self.steering.approach)
+
+    def decide(self, scene: Scene, memory: Any, picture: Picture, command: Array) -> Any:
+        inner, told = memory
+        inner, wanted = self.steering.decide(scene, inner, picture, told)
+        return (inner, wanted), self.factor * wanted
+
+    def believed(self, scene: Scene, memory: Any) -> Array:
+        return self.steering.believed(scene, memory[0])
+
+
 BEGINS = 60.0  # s, after which the tip is near enough to be held by what is linear
 
 

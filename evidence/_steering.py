@@ -3,7 +3,8 @@
 Arms and air are drawn as the files of missions say. The tip is held 2.5 m before the opening by the
 corners of the opening in the late picture of its camera: by nobody, by a proportional-derivative
 law, by LQG with the estimate of the same tracker, by model predictive control, and by the same
-control that is told the true state, air and stiffness of the arm, as late as the picture is.
+control that is told the true state, air and stiffness of the arm, as late as the picture is. The
+margins are pictures that come sooner and later, and joints that turn by less and more than told.
 """
 
 import dataclasses
@@ -21,6 +22,7 @@ WINDS = (0.2, 0.3)
 # The operator with the speed and the rate that brought it in soonest; touches come with them.
 RETUNED = {"speed_m_per_s": 0.3, "approach_rate_deg_per_s": 2.0}
 LATENCY, LATENCIES = 0.5, (0.2, 1.0)
+GAINS = (0.7, 0.85, 1.1, 1.2, 1.4)  # of the angles of joints over those of commands
 HELD, SHORT = 360.0, 60.0  # s
 # Grids of gains: m of the tip by m off, and by m/s; weight of a command.
 PD_GAINS = ((3.0, 10.0), (10.0, 3.0), (10.0, 10.0), (10.0, 30.0), (30.0, 10.0))
@@ -106,6 +108,10 @@ def _row(tally: Any) -> dict[str, Any]:
 
 def _held(count: int, seed: int, seconds: float, *, alone: bool = False) -> dict[str, Any]:
     """Swing of the tip, m, arm by arm, for each controller."""
+    import jax.numpy as jnp
+
+    from ._holding import Scaled
+
     late = {"latency_s": LATENCY}
     mpc = mission_of("naraha.toml", "mpc", **late).keeping_station(seconds)
     seeds = [1000 * seed + 500 + k for k in range(count)]
@@ -125,6 +131,9 @@ def _held(count: int, seed: int, seconds: float, *, alone: bool = False) -> dict
         for other in LATENCIES:
             later = mission_of("naraha.toml", "mpc", latency_s=other).keeping_station(seconds)
             swings[f"mpc, {other:g} s late"] = _swings(later, seeds)
+        for gain in GAINS:
+            scaled = Scaled(mpc.controller, jnp.asarray(gain))
+            swings[f"mpc, joints turn by {gain:g}"] = _swings(mpc.driven_by(scaled), seeds)
         rows["step_ms"] = _step_times(mpc)
     rows["swing_m"] = {name: [round(x, 4) for x in each] for name, each in swings.items()}
     return rows
