@@ -1,6 +1,5 @@
 """`giajax mission`: an arm is brought to an opening, or held before it, once or many times."""
 
-import dataclasses
 import math
 import shlex
 import sys
@@ -28,7 +27,7 @@ from ._commands import (
 from ._values import numbers, settings, with_settings
 
 if TYPE_CHECKING:
-    from ..apps.mission import Cases, Mission, Outcome
+    from ..apps.mission import Cases, Certificate, Mission, Outcome
 
 
 def tell(
@@ -56,8 +55,7 @@ def tell(
     print_table(["obstacle", "links", "for s", "flattened mm", "most N", "N s"], rows)
     wind = mission.section.wind.speed_m_per_s
     if not mission.enters and math.isfinite(outcome.swing):
-        late = outcome.tip[len(outcome.tip) // 2 :]
-        away = mission.opening.centre - late.mean(axis=0)
+        away = mission.opening.centre - outcome.station
         typer.echo(
             f"\ntip within {outcome.swing:.2f} m (root mean square about its mean, "
             f"{float(sum(away**2)) ** 0.5:.2f} m from the opening; second half of "
@@ -114,6 +112,7 @@ def tell_cases(
 
 _RUN = ("run.csv", "run.toml")
 _LONGEST = 3600.0  # s before the opening
+_CASES = 200  # for a recording
 _SPEEDS = "0,0.05,0.1,0.15,0.2,0.25,0.3"
 
 
@@ -134,6 +133,9 @@ Examples:
                             the run in a browser
   giajax mission missions/naraha.toml --cases 100 --speeds 0,0.1,0.2,0.3
                             how often it succeeds, against the wind
+  giajax mission missions/naraha.toml --from-recording resting.csv
+                            the chance in the air that a minute of the
+                            resting arm shows
   giajax mission missions/naraha.toml --case 17 --speed 0.3 --out flown
                             one of those again
 
@@ -144,6 +146,9 @@ It writes
 or of many
   cases.json, cases.csv, cases.png
                               how often, and how soon, against the wind
+or by a recording
+  certificate.json, certificate.csv, certificate.png
+                              the chance, and the missions behind it
 
 The file is that of an arm with [[arm.obstacles]], a [camera.NAME] at its tip, and
 
@@ -166,8 +171,15 @@ def mission(
     controller: Annotated[str, "NAME", "Who drives: operator or mpc."] = "operator",
     keep_station: Annotated[float | None, "S", "Stay before the opening for so long."] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter of the arm.", "--set"] = None,
-    cases: Annotated[int | None, "N", "Fly so many at each of --speeds.", 1] = None,
-    speeds: Annotated[str, "M/S,M/S", "Of the air, for --cases."] = _SPEEDS,
+    resting_run: Annotated[
+        Path | None, "RUN.csv", "The arm at rest: its chance to come in.", "--from-recording"
+    ] = None,
+    cases: Annotated[
+        int | None, "N", "Fly so many: at each of --speeds, or [200] for --from-recording.", 1
+    ] = None,
+    speeds: Annotated[
+        str, "M/S,M/S", "Of the air, for --cases; for --from-recording between them."
+    ] = _SPEEDS,
     out: Annotated[Path | None, "DIR", "Write numbers and pictures there."] = None,
     as_json: Json = False,
     page: Annotated[Path | None, "FILE.html", "Write a page that plays it."] = None,
@@ -180,7 +192,13 @@ def mission(
     picture, a time limit. Once, as a run that `giajax view` plays, or many times: success against
     the speed of the air.
     """
-    from ..recordings import Definition, check_output_files, check_output_folder, write_files
+    from ..recordings import (
+        Definition,
+        check_output_files,
+        check_output_folder,
+        read_run,
+        write_files,
+    )
 
     check_quiet(quiet, written=out or page, as_json=as_json, by="--out DIR, --page or --json")
     flown_at = numbers(speeds)
@@ -195,6 +213,8 @@ def mission(
     for option, given in alone:
         if given is not None and cases is not None:
             raise InputError(f"{option} is of one mission: leave --cases out")
+        if given is not None and resting_run is not None:
+            raise InputError(f"{option} is of one mission: leave --from-recording out")
     if page is not None:
         check_output_files([page], force=force)
     values = settings(pairs)
@@ -202,26 +222,35 @@ def mission(
     configure()
     from ..apps.mission import (
         CASES_FILES,
-        CONTROLLERS,
+        CERTIFICATE_FILES,
         MISSION_FILES,
         Mission,
+        Resting,
+        certificate,
         fly_cases,
+        fly_rested,
         motion,
     )  # fmt: skip
+    from ..models import ArmModel
 
     if out is not None:
         names = (*MISSION_FILES, *_RUN) if cases is None else CASES_FILES
+        names = names if resting_run is None else CERTIFICATE_FILES
         check_output_folder(out, names, force=force)
-    planned = Mission.from_definition(definition, str(file), controller=controller)
-    if values:
-        planned = planned.with_model(with_settings(planned.model, values))
-        # That is the arm as it is drawn, also for who tracks it.
-        made = CONTROLLERS[controller](planned.section, planned.model)
-        planned = dataclasses.replace(planned, controller=made)
+    model = with_settings(ArmModel.stated_in(definition), values) if values else None
+    planned = Mission.from_definition(definition, str(file), controller=controller, model=model)
     if keep_station is not None:
         planned = planned.keeping_station(keep_station)
+    on_case = None if quiet else _progress()
+    if resting_run is not None:
+        resting = Resting.from_run(read_run(resting_run, definition=definition), planned.model)
+        count = _CASES if cases is None else cases
+        span = min(flown_at), max(flown_at)
+        rested = fly_rested(planned, resting, span, count, seed=seed, on_case=on_case)
+        found = certificate(resting, rested)
+        tell_certificate(planned, found, out, as_json=as_json, force=force, quiet=quiet)
+        return
     if cases is not None:
-        on_case = None if quiet else _progress()
         done = fly_cases(planned, flown_at, cases, seed=seed, on_case=on_case)
         if done.cases:
             tell_cases(planned, done, out, as_json=as_json, force=force, quiet=quiet)
@@ -248,6 +277,43 @@ def mission(
         if not quiet:
             size = f"{len(content) / 1e6:.1f} MB"
             typer.echo(f"wrote {page} ({size}): open it in a browser", err=True)
+
+
+def tell_certificate(
+    mission: "Mission",
+    found: "Certificate",
+    out: Path | None,
+    *,
+    as_json: bool,
+    force: bool,
+    quiet: bool,
+) -> None:
+    """Tell and write the chance of a mission."""
+    from ..apps.mission import CERTIFICATE_FILES, certificate_files, certificate_json
+
+    if out is not None:
+        write_folder(out, certificate_files(mission, found), force=force)
+    if found.unlike:
+        typer.echo(
+            "note: the recording is unlike any of the drawn arms at rest: the arm is another than "
+            "the file says, or the air is none of --speeds; do not rely on the chance",
+            err=True,
+        )
+    if as_json:
+        typer.echo(certificate_json(mission, found))
+    if as_json or quiet:
+        return
+    low, high = (100 * each for each in found.interval)
+    least, middle, most = found.air
+    inside = sum(case.reached is not None for case in found.near)
+    typer.echo(
+        f"air of {middle:.2f} m/s ({least:.2f} to {most:.2f}) by the {len(found.near)} of "
+        f"{len(found.cases)} missions whose rest looked most like it, {inside} of which came in\n\n"
+        f"chance to be inside within {mission.section.limit_s:g} s: {100 * found.chance:.0f} % "
+        f"({low:.0f} to {high:.0f})"
+    )
+    if out is not None:
+        say_written(out, CERTIFICATE_FILES)
 
 
 def _progress() -> Callable[[int, int], None] | None:

@@ -1,6 +1,14 @@
 """A mission: an operator who sees what a camera at the tip shows brings the arm to an opening."""
 
 from ._cases import Case as Case, Cases as Cases, Tally as Tally, fly_cases as fly_cases
+from ._certificate import (
+    Certificate as Certificate,
+    RestedCase as RestedCase,
+    Resting as Resting,
+    Waiting as Waiting,
+    certificate as certificate,
+    fly_rested as fly_rested,
+)
 from ._controller import (
     AbstractController as AbstractController,
     Opening as Opening,
@@ -25,9 +33,13 @@ from ._operator import (
 )
 from ._report import (
     CASES_FILES as CASES_FILES,
+    CERTIFICATE_FILES as CERTIFICATE_FILES,
     MISSION_FILES as MISSION_FILES,
     cases_files as cases_files,
     cases_json as cases_json,
+    certificate_figure as certificate_figure,
+    certificate_files as certificate_files,
+    certificate_json as certificate_json,
     mission_figure as mission_figure,
     mission_files as mission_files,
     mission_json as mission_json,

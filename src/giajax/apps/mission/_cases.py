@@ -4,12 +4,16 @@ import dataclasses
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from typing import Self, TypeVar
 
 import numpy as np
 
 from ...runtime.parallel import Tell, run_in_threads
 from ...runtime.process import cores
-from ._mission import Mission
+from ._mission import Mission, Outcome
+
+Given = TypeVar("Given")
+Found = TypeVar("Found")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,6 +34,14 @@ class Case:
     flattening: float
     force: float
     touched: tuple[str, ...]
+
+    @classmethod
+    def of(cls, outcome: Outcome, wind: float, seed: int) -> Self:
+        """What came of a mission, in short."""
+        force = max((each.force for each in outcome.touched), default=0.0)
+        touched = tuple(each.obstacle for each in outcome.touched if each.links)
+        came = outcome.reached, outcome.reason, outcome.flattening
+        return cls(wind, seed, *came, force, touched)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,24 +147,38 @@ def fly_cases(
     mission.case(seed)
     took: list[float] = []
 
-    def job(wind: float, number: int) -> Callable[[Tell], Case | None]:
-        def fly(tell: Tell) -> Case | None:
+    def fly(given: tuple[float, int]) -> Case:
+        wind, number = given
+        began = time.perf_counter()
+        outcome = mission.in_wind(wind).case(number).fly(number, drawn=mission)
+        took.append(time.perf_counter() - began)
+        return Case.of(outcome, wind, number)
+
+    cases = flown_on_all_cores(fly, todo, on_case)
+    return Cases(cases, float(np.mean(took)) if took else 0.0)
+
+
+def flown_on_all_cores(
+    fly: Callable[[Given], Found],
+    todo: Sequence[Given],
+    on_case: Callable[[int, int], object] | None,
+) -> tuple[Found, ...]:
+    """What comes of each; after Ctrl-C of those that were flown."""
+    done: list[Found] = []
+
+    def job(given: Given) -> Callable[[Tell], Found | None]:
+        def flown(tell: Tell) -> Found | None:
             try:
-                began = time.perf_counter()
-                outcome = mission.in_wind(wind).case(number).fly(number, drawn=mission)
-                took.append(time.perf_counter() - began)
+                found = fly(given)
+                done.append(found)
                 if on_case is not None:
-                    tell(lambda: on_case(len(took), len(todo)))
+                    tell(lambda: on_case(len(done), len(todo)))
             except KeyboardInterrupt:
                 return None
-            came = outcome.reached, outcome.reason, outcome.flattening
-            force = max((each.force for each in outcome.touched), default=0.0)
-            touched = tuple(each.obstacle for each in outcome.touched if each.links)
-            return Case(wind, number, *came, force, touched)
+            return found
 
-        return fly
+        return flown
 
-    jobs = [job(*each) for each in todo]
-    flown = run_in_threads(jobs, cores(), until=lambda case: case is None)
-    cases = tuple(case for case in flown if case is not None)
-    return Cases(cases, float(np.mean(took)) if took else 0.0)
+    jobs = [job(each) for each in todo]
+    found = run_in_threads(jobs, cores(), until=lambda each: each is None)
+    return tuple(each for each in found if each is not None)

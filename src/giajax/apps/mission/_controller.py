@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from ...mechanics.arm import Arm
 from ...mechanics.obstacles import WallWithOpening
 from ...models import Pinhole
-from ...runtime.arrays import Array, Bool, Float, Scalar, rotate
+from ...runtime.arrays import Array, Bool, Float, Scalar, rotate, safe_norm
 from ...runtime.plugins import optional
 from ...runtime.text import InputError
 
@@ -17,6 +17,12 @@ from ...runtime.text import InputError
 def number(default: float) -> Any:
     """A field that a program takes as an argument, so that another value is no other program."""
     return eqx.field(converter=lambda x: jnp.asarray(x, jnp.result_type(float)), default=default)
+
+
+METRES = 2.0
+"""A turn of the camera by a radian counts as much as so many metres of the tip."""
+
+_AHEAD = 3.0  # m behind an opening: a place that does not pass by while the tip goes in
 
 
 class Opening(NamedTuple):
@@ -38,6 +44,24 @@ class Opening(NamedTuple):
         """Of the outer face, in the base frame, m."""
         signs = jnp.asarray([[1, 1], [-1, 1], [-1, -1], [1, -1]], self.half.dtype)
         return self.centre[None] + (signs * self.half[None]) @ self.frame[:, 1:].T
+
+    @property
+    def ahead(self) -> Float[Array, "3"]:
+        """Where a camera looks that goes in: a place behind the opening, m."""
+        return self.centre - _AHEAD * self.frame[:, 0]
+
+    def outside(
+        self, local: Float[Array, "3"], *, near: Scalar, stand_off: Scalar, deep: Scalar
+    ) -> Scalar:
+        """How far outwards a tip shall go, m: the nearer to the axis the less.
+
+        Arguments:
+            local: where it is, as of `local`, m.
+            near: distance from the axis within which it goes in, m.
+            stand_off: where it goes to the axis, m.
+            deep: how far in it goes, m.
+        """
+        return jnp.clip(2 * (safe_norm(local[1:]) - near), -deep, stand_off)
 
     def local(self, points: Float[Array, "*point 3"]) -> Float[Array, "*point 3"]:
         """Points of the base frame as distances outwards, to the left and up, m."""
@@ -102,6 +126,10 @@ class Picture(NamedTuple):
     seen: Bool[Array, "4"]
     room: Bool[Array, ""]
     commanded: Float[Array, " joint"]
+
+    def blind(self, before: Scalar, interval: Scalar) -> Scalar:
+        """For how long fewer than two corners have been seen, an interval later, s."""
+        return jnp.where(jnp.sum(self.seen) >= 2, 0, before + interval)
 
 
 class AbstractController(eqx.Module):

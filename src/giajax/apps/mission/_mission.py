@@ -259,10 +259,15 @@ class Outcome:
         return max((each.flattening for each in self.touched), default=0.0)
 
     @property
+    def station(self) -> Float[np.ndarray, "3"]:
+        """Mean place of the tip over the second half of the time, m."""
+        return self.tip[len(self.tip) // 2 :].mean(axis=0)
+
+    @property
     def swing(self) -> float:
-        """Root mean square of the tip about its mean, over the second half of the time, m."""
-        late = self.tip[len(self.tip) // 2 :]
-        return float(np.sqrt(np.mean(np.sum((late - late.mean(axis=0)) ** 2, axis=1))))
+        """Root mean square of the tip about its station, over the second half of the time, m."""
+        away = self.tip[len(self.tip) // 2 :] - self.station
+        return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
 
 
 def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row width"]) -> Outcome:
@@ -359,9 +364,7 @@ def _contacts(arm: Arm, states: Float[Array, "row part joint"]) -> tuple[Array, 
 _INTERVAL, _TOLERANCE = 0.1, 1e-3
 
 
-Controllers = dict[str, Callable[[MissionSection, ArmModel], AbstractController]]
-
-CONTROLLERS: Controllers = {
+CONTROLLERS: dict[str, Callable[[MissionSection, ArmModel], AbstractController]] = {
     "operator": lambda section, model: Operator.from_section(section, model.arm.count),
     "mpc": Steering.from_section,
 }
@@ -389,7 +392,12 @@ class Mission:
 
     @classmethod
     def from_definition(
-        cls, definition: Definition, source: str = "the file", *, controller: str = "operator"
+        cls,
+        definition: Definition,
+        source: str = "the file",
+        *,
+        controller: str = "operator",
+        model: ArmModel | None = None,
     ) -> Self:
         """The mission of a file.
 
@@ -397,6 +405,7 @@ class Mission:
             definition: of the file.
             source: what messages call it.
             controller: one of `CONTROLLERS`.
+            model: of the arm as it is drawn, in place of the file's.
 
         Raises:
             InputError: it has no `[mission]`, no opening, or no camera at the tip of its arm; its
@@ -408,7 +417,7 @@ class Mission:
         section = definition.mission
         if section is None:
             raise InputError(f"{source} has no [mission]: add one (giajax mission --help shows it)")
-        model = ArmModel.stated_in(definition)
+        model = ArmModel.stated_in(definition) if model is None else model
         opening = opening_of(model.arm, section.opening)
         pinholes = model.sensors.camera.pinholes
         lenses = {name: lens for name, lens in pinholes.items() if lens.mount == "tip"}

@@ -22,7 +22,7 @@ from ...runtime.arrays import (
 )
 from ...runtime.text import InputError
 from ...schema import MissionSection
-from ._controller import AbstractController, Opening, Picture, Scene, number, within_limits
+from ._controller import METRES, AbstractController, Opening, Picture, Scene, number, within_limits
 
 
 def posed(camera: Pinhole, opening: Opening, pixels: Float[Array, "4 2"]) -> View:
@@ -182,12 +182,6 @@ def _moved(view: View, change: Float[Array, "9"]) -> View:
     return View(view.centre + change[_PLACE], axes)
 
 
-# How far behind the opening it looks: a place that does not pass by while the tip goes in, m.
-_AHEAD = 3.0
-
-_METRES = 2.0  # a turn by a radian counts as much as so many metres of the tip
-
-
 class OperatorMemory(NamedTuple):
     """What an operator remembers.
 
@@ -282,7 +276,7 @@ class Operator(AbstractController):
             self.tracking.later(memory.sight, interval),
             scene.camera, scene.opening, picture.pixels, picture.seen, commanded, interval,
         )  # fmt: skip
-        blind = jnp.where(jnp.sum(picture.seen) >= 2, 0, memory.blind + interval)
+        blind = picture.blind(memory.blind, interval)
         back = self.approach - command
         away = jnp.maximum(jnp.max(jnp.abs(back)) / self.approach_rate, interval)
         served = self._served(scene.arm, command, self._task(scene, sight))
@@ -303,9 +297,7 @@ class Operator(AbstractController):
     def _served(self, arm: Arm, command: Array, task: Float[Array, "6"]) -> Array:
         """Rates that bring the tip to where the picture says that it should be."""
         axes = pose(arm, command).axis
-        rows = jnp.concatenate(
-            [jax.jacfwd(lambda q: tip_position(arm, q))(command), _METRES * axes]
-        )
+        rows = jnp.concatenate([jax.jacfwd(lambda q: tip_position(arm, q))(command), METRES * axes])
         # What the task leaves open goes back to the shape of the approach.
         easy = self.posture * (self.approach - command)
 
@@ -324,13 +316,12 @@ class Operator(AbstractController):
         opening, velocity = scene.opening, sight.velocity
         tip = scene.camera.mounted_at(sight.view) + self.latency * velocity
         local = opening.local(tip)
-        beside = safe_norm(local[1:])
-        outside = jnp.clip(2 * (beside - self.near), -self.deep, self.stand_off)
+        outside = opening.outside(local, near=self.near, stand_off=self.stand_off, deep=self.deep)
         # Where it is inside it stays inside.
         outside = jnp.where(local[0] < -opening.thickness, -self.deep, outside)
         wanted = self.closing * jnp.concatenate([(outside - local[0])[None], -local[1:]])
         wanted = wanted / jnp.maximum(1, safe_norm(wanted) / self.speed)
         missing = self.push * (opening.frame @ wanted - velocity)
-        ahead = opening.centre - _AHEAD * opening.frame[:, 0] - tip
+        ahead = opening.ahead - tip
         turn = self.looking * cross(sight.view.axes[:, 2], ahead / safe_norm(ahead))
-        return jnp.concatenate([missing, _METRES * turn])
+        return jnp.concatenate([missing, METRES * turn])

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -26,7 +27,8 @@ from ...report import (
 )
 from ...runtime.records import plain_data
 from ...simulation import at_rest
-from ._cases import Cases
+from ._cases import Case, Cases
+from ._certificate import Certificate
 from ._mission import Mission, Outcome
 
 MISSION_FILES = ("mission.json", "mission.png")
@@ -152,19 +154,22 @@ CASES_FILES = ("cases.json", "cases.csv", "cases.png")
 
 def cases_files(mission: Mission, cases: Cases) -> dict[str, bytes]:
     """Numbers and a picture of many missions, by the names of `CASES_FILES`."""
-    columns: dict[str, list[Any]] = {
-        "wind_m_per_s": [case.wind for case in cases.cases],
-        "seed": [case.seed for case in cases.cases],
-        "reached_s": [np.nan if case.reached is None else case.reached for case in cases.cases],
-        "reason": [case.reason for case in cases.cases],
-        "flattening_m": [case.flattening for case in cases.cases],
-        "force_N": [case.force for case in cases.cases],
-        "touched": [" ".join(case.touched) for case in cases.cases],
-    }
     return {
         "cases.json": f"{cases_json(mission, cases)}\n".encode(),
-        "cases.csv": to_csv(columns),
+        "cases.csv": to_csv(_columns(cases.cases)),
         "cases.png": to_png(cases_figure(mission, cases)),
+    }
+
+
+def _columns(cases: Sequence[Case]) -> dict[str, Any]:
+    return {
+        "wind_m_per_s": [case.wind for case in cases],
+        "seed": [case.seed for case in cases],
+        "reached_s": [np.nan if case.reached is None else case.reached for case in cases],
+        "reason": [case.reason for case in cases],
+        "flattening_m": [case.flattening for case in cases],
+        "force_N": [case.force for case in cases],
+        "touched": [" ".join(case.touched) for case in cases],
     }
 
 
@@ -211,4 +216,57 @@ def cases_figure(mission: Mission, cases: Cases) -> Figure:
     times.axhline(limit, color=GREY, linewidth=0.8, linestyle="--")
     times.set_ylim(0, 1.05 * limit)
     plain(times, "Time until it was inside (median in red)", across, "s")
+    return figure
+
+
+CERTIFICATE_FILES = ("certificate.json", "certificate.csv", "certificate.png")
+
+
+def certificate_files(mission: Mission, found: Certificate) -> dict[str, bytes]:
+    """Numbers and a picture of a certificate, by the names of `CERTIFICATE_FILES`."""
+    columns = {**_columns(found.cases), "chance": found.chances.tolist()}
+    return {
+        "certificate.json": f"{certificate_json(mission, found)}\n".encode(),
+        "certificate.csv": to_csv(columns),
+        "certificate.png": to_png(certificate_figure(mission, found)),
+    }
+
+
+def certificate_json(mission: Mission, found: Certificate) -> str:
+    """The chance of a mission, and what it is taken from, as JSON text."""
+    facts = {
+        "chance": found.chance,
+        "interval": list(found.interval),
+        "unlike": found.unlike,
+        "air_m_per_s": list(found.air),
+        "near": len(found.near),
+        "near_inside": sum(case.reached is not None for case in found.near),
+        "cases": len(found.cases),
+        "inside": sum(case.reached is not None for case in found.cases),
+        "controller": mission.driver,
+        "mission": mission.section.contents(),
+    }
+    return json.dumps(plain_data(facts), indent=2)
+
+
+def certificate_figure(mission: Mission, found: Certificate) -> Figure:
+    """Missions by the speed of the air and by the chance that their own rest shows."""
+    minutes = mission.section.limit_s / 60
+    title = f"Chance to be inside within {minutes:g} min by {mission.driver}"
+    figure = new_figure(7.5, 4.2, f"{title}: {100 * found.chance:.0f} %")
+    panel = figure.subplots()
+    winds = np.array([case.wind for case in found.cases])
+    inside = np.array([case.reached is not None for case in found.cases])
+    for these, colour, label in ((inside, BLUE, "inside"), (~inside, VERMILLION, "not inside")):
+        panel.plot(
+            100 * found.chances[these], winds[these], "o", color=colour, markersize=4, alpha=0.7,
+            label=f"{label} ({np.sum(these)})", linewidth=0,
+        )  # fmt: skip
+    low, high = found.interval
+    panel.axvspan(100 * low, 100 * high, color=LIGHT, linewidth=0, label="of the recording, 95 %")
+    panel.axvline(100 * found.chance, color=GREY, linewidth=1.2)
+    panel.set_xlim(-2, 102)
+    panel.set_ylim(0, 1.05 * winds.max())
+    plain(panel, f"{len(winds)} drawn missions", "chance by its rest (%)", "speed of the air (m/s)")
+    panel.legend(fontsize=8, frameon=False, loc="upper right")
     return figure

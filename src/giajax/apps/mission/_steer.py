@@ -21,14 +21,12 @@ from ...runtime.arrays import Array, Bool, Float, Int, Scalar, safe_norm
 from ...schema import MissionSection
 from ..tracking import Air, Gaussian, Held, TrackedArm, measured, moved, tracked_arm, usual_torque
 from ..wind import first_guess
-from ._controller import AbstractController, Opening, Picture, Scene, number, within_limits
+from ._controller import METRES, AbstractController, Opening, Picture, Scene, number, within_limits
 from ._operator import Operator
 
 # Lengths of the pieces of a plan, in each of which the rates of all commands are constant, s.
 _PIECES = np.array([1, 1, 2, 2, 3, 3, 4, 4, 5, 5])
 _HORIZON = int(_PIECES.sum())
-_AHEAD = 3.0  # how far behind the opening the camera looks, m
-_METRES = 2.0  # a turn of the camera by a radian counts as much as so many metres of the tip
 # Of the quadratic program, which begins with the last plan; from nothing the sum of squares is then
 # within a fifth of the least.
 _ITERATIONS = 60
@@ -205,7 +203,7 @@ class Steering(AbstractController):
         state = jax.tree.map(lambda new, old: jnp.where(begun, new, old), state, memory.state)
         state = self._corrected(scene, state, picture)
         view = scene.camera.view(self.tracked.model.arm, self.tracked.arm_state(state.mean)[0])
-        blind = jnp.where(jnp.sum(picture.seen) >= 2, 0, memory.blind + scene.interval)
+        blind = picture.blind(memory.blind, scene.interval)
         decisions = memory.decisions + 1
         return SteeringMemory(state, commands, memory.plan, blind, decisions, view.centre)
 
@@ -279,7 +277,7 @@ class Steering(AbstractController):
         def shown(angles: Array) -> tuple[Array, Array]:
             """Place of the tip and direction of the camera, in metres."""
             view = scene.camera.view(arm, angles)
-            found = jnp.concatenate([tip_position(arm, angles), _METRES * view.axes[:, 2]])
+            found = jnp.concatenate([tip_position(arm, angles), METRES * view.axes[:, 2]])
             return found, found
 
         slope, here = jax.jacfwd(shown, has_aux=True)(rows[0])
@@ -292,8 +290,8 @@ class Steering(AbstractController):
         towards = gap / jnp.maximum(far, 1e-9)
         seconds = jnp.arange(1, _HORIZON + 1, dtype=tip.dtype)[:, None]
         places = tip[None] + jnp.minimum(self.speed * seconds, far) * towards[None]
-        aim = scene.opening.centre - _AHEAD * scene.opening.frame[:, 0] - tip
-        aims = jnp.broadcast_to(_METRES * aim / safe_norm(aim), places.shape)
+        aim = scene.opening.ahead - tip
+        aims = jnp.broadcast_to(METRES * aim / safe_norm(aim), places.shape)
         # What is lost aims at nothing but the approach.
         aimed = jnp.where(lost, 0.0, 1.0)
         posture = jnp.where(lost, _SAFE, 1.0) * self.posture_weight
@@ -337,7 +335,7 @@ class Steering(AbstractController):
         self, opening: Opening, local: Float[Array, "3"], spread: Scalar
     ) -> Float[Array, "3"]:
         """Where the tip shall be: before the opening, or the nearer to its axis the deeper."""
-        outside = jnp.clip(2 * (safe_norm(local[1:]) - self.near), -self.deep, self.stand_off)
+        outside = opening.outside(local, near=self.near, stand_off=self.stand_off, deep=self.deep)
         outside = jnp.where(spread > self.sure, self.stand_off, outside)
         # Where it is inside it stays inside.
         outside = jnp.where(opening.holds(local), -self.deep, outside)
