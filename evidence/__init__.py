@@ -9,6 +9,7 @@ module with a `Study`, and a line in `STUDIES`.
 """
 
 from ._bootstrap import BOOTSTRAP
+from ._certificate import CERTIFICATE
 from ._coverage import COVERAGE
 from ._design import DESIGN
 from ._explained import EXPLAINED
@@ -60,6 +61,7 @@ _ALL = (
     SHAPING,
     PLANS,
     STEERING,
+    CERTIFICATE,
     TRACKING,
     LEAKS,
 )

@@ -366,6 +366,12 @@ def test_a_fit_gives_bands_and_its_values_to_the_command(tmp_path, monkeypatch, 
     expected = np.interp(rehearsed.times, path["time_s"], path["tip_z_m"])
     np.testing.assert_allclose(rehearsed.values["tip_z"], expected, atol=2e-3)
     assert "--json" not in (tmp_path / "planned" / "command.toml").read_text()
+    stored = json.loads((tmp_path / "fit" / "result.json").read_text())
+    stored["verdict"]["status"] = "inadequate"
+    (tmp_path / "fit" / "result.json").write_text(json.dumps(stored))
+    capsys.readouterr()
+    assert main(["plan", "--model", "fit", "--pose", "9=20", "--out", "other"]) == 2
+    assert "note: the model of fit is inadequate by the verdict of its fit" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

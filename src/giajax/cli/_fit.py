@@ -42,6 +42,7 @@ from ._commands import (
     terminal_width,
     workers_of_starts,
 )
+from ._model import DOUBTED
 from ._studies import self_test as repeated_fit
 from ._values import bounds, groups, plain_settings, priors, ties
 
@@ -259,7 +260,6 @@ def show_diagnosis(result: "FitResult") -> None:
 
 _STATUS = {"converged": 0, "not_converged": 1}
 
-_DOUBTED = ("inadequate", "doubtful")
 _INADEQUATE = 3  # with --strict, of a fit whose model is inadequate or doubtful
 
 
@@ -399,7 +399,7 @@ def run_fit(
             print(f"\n{_go_on(task, result)}")
         if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
             print(f"\n{hint}")
-    if strict and asked.status == "converged" and asked.verdict.status in _DOUBTED:
+    if strict and asked.status == "converged" and asked.verdict.status in DOUBTED:
         return _INADEQUATE
     if untested and is_stopped():
         return stopped_status()

@@ -52,6 +52,25 @@ def definition_of(path: Path | None) -> "Definition":
     return Definition.load(path)
 
 
+DOUBTED = ("inadequate", "doubtful")
+"""Verdicts of a fit on whose numbers nothing should rest."""
+
+
+def say_doubts(path: Path | None, what: str, *, quiet: bool) -> None:
+    """A line where the model is that of a fit that was doubted, on which something rests."""
+    from ..recordings import stored_result
+
+    if quiet or path is None or not is_result(path):
+        return
+    verdict = stored_result(path)[1].get("verdict") or {}
+    if verdict.get("status") in DOUBTED:
+        typer.echo(
+            f"note: the model of {path} is {verdict['status']} by the verdict of its fit, so that "
+            f"{what} may be wrong: see giajax report {path}",
+            err=True,
+        )
+
+
 def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
     """The model of a fit, or else of the runs, which were read with `definition_of` the file."""
     from ..fitting import FitResult

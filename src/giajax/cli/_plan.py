@@ -22,7 +22,7 @@ from ._commands import (
     say_written,
     write_folder,
 )
-from ._model import definition_of, is_result
+from ._model import definition_of, is_result, say_doubts
 from ._values import joint_angles, numbers
 
 if TYPE_CHECKING:
@@ -111,6 +111,7 @@ def plan(
     from ..models import ArmModel
     from ..report import to_csv, to_png
 
+    say_doubts(model, "where its arm goes", quiet=quiet)
     source = load_result(model) if is_result(model) else ArmModel.stated_in(definition)
     joints = arm_model_of(source).arm.count
     target = _target(pose, place, through, joints, definition)

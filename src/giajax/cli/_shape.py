@@ -24,7 +24,7 @@ from ._commands import (
     say_written,
     write_folder,
 )
-from ._model import definition_of, fit_or_model, is_result
+from ._model import definition_of, fit_or_model, is_result, say_doubts
 
 if TYPE_CHECKING:
     from ..apps.shaping import Command, Shaped, Shaping
@@ -82,6 +82,7 @@ def shape(
     from ..apps.shaping import shape_command, shaping_facts, shaping_figure
     from ..report import to_png
 
+    say_doubts(model, "how its arm swings", quiet=quiet)
     source = fit_or_model(model, [recorded])
     given = _command(recorded, source)
     with failed_simulation(""):

@@ -27,7 +27,7 @@ from ._commands import (
     say_written,
     write_folder,
 )
-from ._model import definition_of, fit_or_model, is_result
+from ._model import definition_of, fit_or_model, is_result, say_doubts
 from ._simulate import gust_numbers
 from ._values import deviations, noise_section, plain_settings, velocity
 
@@ -156,6 +156,7 @@ def track(
     def some(recorded: "Run") -> "Run":
         return observing(recorded, channels) if channels else recorded
 
+    say_doubts(model, "what it tracks", quiet=quiet)
     configure()
     from ..apps.tracking import (
         Unknown,

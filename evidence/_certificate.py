@@ -1,0 +1,189 @@
+"""Certificates: chances of missions by a minute of the resting arm, and what came of them.
+
+Arms and air are drawn as the file of the mission says, the speed of the air evenly from a range in
+which most missions succeed at one end and few at the other. Each rests for a minute, of which the
+place of the tip is recorded with an error of 5 mm, and goes on to the opening. A tenth at a time is
+certified by the missions of the other nine tenths.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ._record import ROOT
+from ._study import Figures, Study
+
+FILE, DRIVER = "naraha.toml", "operator"
+SPEEDS = (0.1, 0.6)  # m/s
+CHANNELS, NOISE, RATE = ("tip_x", "tip_y", "tip_z"), 0.005, 10.0
+SECONDS, FOLDS = 60.0, 10
+CLASSES = ((0.0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 1.0))
+BETWEEN = (0.2, 0.9)  # share of success at a speed of the air, of the skill that is asked for
+PROBABILITY = 1e-4  # of a disagreement by chance
+
+
+def run(size: int, seed: int) -> Figures:
+    """Figures of so many missions and certificates."""
+    rested, resting = _rested(size, seed)
+    return {**_counts(rested), **_certified(rested, resting)}
+
+
+def part(size: int, seed: int) -> Figures:
+    """Missions without certificates, for which they are too few."""
+    return _counts(_rested(size, seed)[0])
+
+
+def _rested(count: int, seed: int) -> tuple[Any, Any]:
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    from giajax.apps.mission import Mission, Resting, fly_rested
+    from giajax.recordings import Definition
+
+    definition = Definition.load(ROOT / "missions" / FILE)
+    mission = Mission.from_definition(definition, controller=DRIVER)
+    # Means over half a second, as a recording has them.
+    bins, noise = np.zeros((round(2 * SECONDS), 3)), NOISE / np.sqrt(RATE / 2)
+    resting = Resting(CHANNELS, bins, np.full(3, noise))
+    return fly_rested(mission, resting, SPEEDS, count, seed=1000 * seed), resting
+
+
+def _counts(rested: Any) -> Figures:
+    inside = sum(each.case.reached is not None for each in rested)
+    return {"cases": len(rested), "inside": inside}
+
+
+def _certified(rested: Any, resting: Any) -> Figures:
+    import dataclasses
+
+    from scipy import stats
+
+    from giajax.apps.mission import Resting, certificate
+
+    class Shown(Resting):
+        """A recording of which only what it shows is kept."""
+
+        def shown(self) -> Any:
+            return self.bins
+
+    found = []
+    for place, each in enumerate(rested):
+        others = [other for k, other in enumerate(rested) if k % FOLDS != place % FOLDS]
+        fields = {each.name: getattr(resting, each.name) for each in dataclasses.fields(resting)}
+        found.append(certificate(Shown(**{**fields, "bins": each.shown}), others))
+    chance = np.array([each.chance for each in found])
+    inside = np.array([each.case.reached is not None for each in rested], float)
+    winds = np.array([each.case.wind for each in rested])
+    # Spiegelhalter, Statistics in Medicine 5 (1986) 421.
+    z = np.sum((inside - chance) * (1 - 2 * chance)) / np.sqrt(
+        np.sum((1 - 2 * chance) ** 2 * chance * (1 - chance))
+    )
+    # Hosmer and Lemeshow, on others than those that were fitted: as many degrees as groups.
+    groups = np.array_split(np.argsort(chance), 10)
+    square = sum(
+        np.sum(inside[k] - chance[k]) ** 2 / np.sum(chance[k] * (1 - chance[k])) for k in groups
+    )
+    by_air = _by_air(winds, inside)
+    middling = (by_air > BETWEEN[0]) & (by_air < BETWEEN[1])
+    return {
+        "spiegelhalter_p": round(float(2 * stats.norm.sf(abs(z))), 4),
+        "hosmer_lemeshow_p": round(float(stats.chi2.sf(square, len(groups))), 4),
+        "skill": _skill(chance, inside),
+        "skill_of_the_true_air": _skill(by_air, inside),
+        "middling": {
+            "cases": int(middling.sum()),
+            "air_m_per_s": [round(float(each), 3) for each in np.quantile(winds[middling], [0, 1])],
+            "skill": _skill(chance[middling], inside[middling]),
+            "skill_of_the_true_air": _skill(by_air[middling], inside[middling]),
+        },
+        "unlike": sum(each.unlike for each in found),
+        "air_holds": sum(
+            each.air[0] <= wind <= each.air[2] for each, wind in zip(found, winds, strict=True)
+        ),
+        "interval_width": round(
+            float(np.mean([each.interval[1] - each.interval[0] for each in found])), 4
+        ),
+        "classes": [
+            {
+                "chance": [low, high],
+                "cases": int(these.sum()),
+                "mean_chance": round(float(chance[these].mean()), 4),
+                "inside": int(inside[these].sum()),
+            }
+            for low, high in CLASSES
+            if (these := (chance >= low) & (chance < high)).any()
+        ],
+    }
+
+
+def _by_air(winds: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """The share of success at the true speed of the air, by a logistic curve."""
+    from scipy.optimize import minimize
+    from scipy.special import expit
+
+    table = np.stack([np.ones_like(winds), winds - winds.mean()])
+
+    def cost(weights: np.ndarray) -> float:
+        logits = weights @ table
+        return float(np.sum(np.logaddexp(0, logits) - inside * logits))
+
+    return np.asarray(expit(minimize(cost, np.zeros(2)).x @ table))
+
+
+def _skill(chance: np.ndarray, inside: np.ndarray) -> float:
+    """By how much less the Brier score is than that of the share of success."""
+    plain = np.mean((inside - inside.mean()) ** 2)
+    return round(float(1 - np.mean((inside - chance) ** 2) / plain), 4)
+
+
+def disagreements(stored: Figures, new: Figures) -> list[str]:
+    """Another share of success than chance lets it be (Fisher's exact test)."""
+    from scipy import stats
+
+    rows = [[each["inside"], each["cases"] - each["inside"]] for each in (stored, new)]
+    p = stats.fisher_exact(rows).pvalue
+    found = f"{new['inside']} of {new['cases']} came in, {stored['inside']} of {stored['cases']}"
+    return [f"{found} (p = {p:.1g})"] if p < PROBABILITY else []
+
+
+def table(figures: Figures) -> list[str]:
+    """What chances came to, and how good they are."""
+    rows = ["| chance | cases | mean chance | inside |", "| --- | --- | --- | --- |"]
+    for each in figures["classes"]:
+        low, high = each["chance"]
+        share = each["inside"] / each["cases"]
+        rows.append(
+            f"| {100 * low:.0f} to {100 * high:.0f} % | {each['cases']} | "
+            f"{100 * each['mean_chance']:.1f} % | {each['inside']} ({100 * share:.1f} %) |"
+        )
+    middling = figures["middling"]
+    low, high = middling["air_m_per_s"]
+    return [
+        *rows,
+        "",
+        f"{figures['cases']} missions by the {DRIVER} in air of {SPEEDS[0]:g} to "
+        f"{SPEEDS[1]:g} m/s, {figures['inside']} inside. Calibration: p = "
+        f"{figures['spiegelhalter_p']:.2f} "
+        f"(Spiegelhalter) and {figures['hosmer_lemeshow_p']:.2f} (Hosmer and Lemeshow). Brier "
+        f"skill over the share of success: {figures['skill']:.2f}, and "
+        f"{figures['skill_of_the_true_air']:.2f} of the true speed of the air. Of the "
+        f"{middling['cases']} missions in air of {low:.2f} to {high:.2f} m/s, where 20 to 90 % "
+        f"succeed: {middling['skill']:.2f} and {middling['skill_of_the_true_air']:.2f}. The air "
+        f"of the tenth of missions that looked most alike held the true one in "
+        f"{figures['air_holds']}; {figures['unlike']} recordings were called unlike all others.",
+    ]
+
+
+CERTIFICATE = Study(
+    name="certificate",
+    meaning=(
+        "Whether `giajax mission --from-recording` is right: chances of missions by a minute in "
+        "which the arm rests, and what came of the missions."
+    ),
+    size=1000,
+    seed=1,
+    run=run,
+    disagreements=disagreements,
+    table=table,
+    part=part,
+)

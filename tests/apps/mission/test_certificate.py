@@ -1,0 +1,172 @@
+"""The chance of a mission by a recording of the resting arm: what counts, and how true it is."""
+
+import dataclasses
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import expit
+from scipy.stats import norm
+
+from giajax import Definition, InputError
+from giajax.apps.mission import Case, Mission, RestedCase, Resting, certificate, fly_rested
+from giajax.recordings import Run
+
+FOLDER = Path(__file__).resolve().parents[3] / "missions"
+TIP = ("tip_x", "tip_y", "tip_z")
+
+
+def planned(**changes):
+    data = tomllib.loads((FOLDER / "naraha.toml").read_text(encoding="utf-8"))
+    data["mission"] |= changes
+    return Mission.from_definition(Definition.parse(data))
+
+
+def resting(seconds=60.0, rate=10.0, commands=None, noise=0.005, **values):
+    """A run in which the tip swings by 0.3 m once in 20 s."""
+    times = np.arange(round(seconds * rate) + 1) / rate
+    random = np.random.default_rng(0)
+    tip = {
+        name: 0.3 * np.sin(2 * np.pi * times / 20) + noise * random.normal(size=len(times))
+        for name in TIP
+    }
+    commands = {"joint01_command": 0.0} | (commands or {})
+    commanded = {name: np.full(len(times), value) for name, value in commands.items()}
+    mission = planned()
+    return Run.from_arrays(
+        times,
+        tip | commanded | values,
+        name="resting",
+        definition={"model": "arm", "arm": {"preset": "takeichi_20m"}},
+    ), mission.model
+
+
+def test_a_recording_is_its_means_over_half_a_second():
+    found = Resting.from_run(*resting(noise=0.02))
+    assert found.channels == TIP
+    assert found.bins.shape == (120, 3)
+    assert found.seconds == 60
+    # Five rows in each: noise of a mean is that of a row over their root.
+    assert np.all(np.abs(found.noise - 0.02 / np.sqrt(5)) < 0.15 * 0.02 / np.sqrt(5))
+    shown = found.shown()
+    assert np.all(np.abs(shown[0]) < 0.01)
+    assert np.all(np.abs(shown[1] - 0.3 / np.sqrt(2)) < 0.005)
+    # In two seconds a sine of 20 s moves by 2 sin(pi / 10) of itself.
+    moves = 2 * np.sin(np.pi / 10) * 0.3 / np.sqrt(2)
+    assert np.all(np.abs(shown[2] - moves) < 0.01)
+
+
+def test_of_a_long_recording_the_end_counts():
+    long, model = resting(seconds=300.0)
+    found = Resting.from_run(long, model)
+    assert found.seconds == 120
+    changed = {name: np.where(long.times < 180, 5.0, long.values[name]) for name in TIP}
+    values = {**long.values, **changed}
+    other = Run.from_arrays(long.times, values, name="resting", definition=long.definition)
+    assert np.array_equal(Resting.from_run(other, model).bins, found.bins)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"seconds": 12.0}, "lasts 12 s: record the resting arm for at least 30 s"),
+        ({"commands": {"joint03_command": np.deg2rad(20)}}, r"joint03_command .* is 20\.0 deg"),
+        (
+            {"joint02_command": np.linspace(0, 0.2, 601)},
+            r"joint02_command .* moves by 11\.5 deg: give a recording in which the arm rests",
+        ),
+        ({"joint31_angle": np.zeros(601)}, "31"),
+    ],
+)
+def test_what_is_no_resting_arm_is_refused(changes, sentence):
+    with pytest.raises(InputError, match=sentence):
+        Resting.from_run(*resting(**changes))
+
+
+def drawn(count, seed, slope=-12.0):
+    """Missions whose rests swing by the air's speed, give or take a fifth, and their recordings."""
+    random = np.random.default_rng(seed)
+    cases = []
+    for number in range(count):
+        air = random.uniform(0.1, 0.7)
+        inside = random.uniform() < expit(slope * (air - 0.4))
+        sizes = air * np.exp(0.2 * random.normal(size=3))
+        shown = np.array([sizes[0] * random.normal(size=3), [sizes[1]] * 3, [0.3 * sizes[2]] * 3])
+        reached = float(random.uniform(60, 300)) if inside else None
+        case = Case(air, number, reached, "" if inside else "late", 0.0, 0.0, ())
+        cases.append(RestedCase(case, shown))
+    return cases
+
+
+class Shown(Resting):
+    """A recording that shows what is given."""
+
+    def shown(self):
+        return self.bins
+
+
+def recorded(case):
+    return Shown(TIP, case.shown, np.zeros(3))
+
+
+def test_chances_are_calibrated_and_skilful():
+    """On other missions: Spiegelhalter's test, and what is better than the share of success."""
+    known = drawn(400, seed=1)
+    others = drawn(600, seed=2)
+    chance = np.array([certificate(recorded(each), known).chance for each in others])
+    inside = np.array([each.case.reached is not None for each in others], float)
+    z = np.sum((inside - chance) * (1 - 2 * chance)) / np.sqrt(
+        np.sum((1 - 2 * chance) ** 2 * chance * (1 - chance))
+    )
+    assert abs(z) < norm.ppf(0.975)
+    for low, high in ((0.0, 0.3), (0.3, 0.7), (0.7, 1.0)):
+        these = (chance >= low) & (chance < high)
+        spread = np.sqrt(np.mean(chance[these] * (1 - chance[these])) / np.sum(these))
+        assert abs(np.mean(inside[these]) - np.mean(chance[these])) < 3 * spread
+    brier = np.mean((inside - chance) ** 2)
+    assert 1 - brier / np.mean((inside - np.mean(inside)) ** 2) > 0.2
+
+
+def test_the_interval_is_what_so_few_missions_leave_open():
+    """Of many sets of missions the chances of one recording scatter as the interval says."""
+    one = recorded(drawn(1, seed=5)[0])
+    found = [certificate(one, drawn(200, seed=10 + k)) for k in range(60)]
+    truth = certificate(one, drawn(20_000, seed=3)).chance
+    holds = [low <= truth <= high for low, high in (each.interval for each in found)]
+    assert np.mean(holds) > 0.85
+    wide = np.mean([high - low for low, high in (each.interval for each in found)])
+    narrow = certificate(one, drawn(20_000, seed=4)).interval
+    assert narrow[1] - narrow[0] < 0.2 * wide
+
+
+def test_air_is_that_of_rests_that_look_alike_and_others_are_unlike():
+    known = drawn(400, seed=1)
+    calm = min(drawn(100, seed=2), key=lambda each: each.case.wind)
+    found = certificate(recorded(calm), known)
+    least, middle, most = found.air
+    assert len(found.near) == 40
+    assert least <= middle <= most
+    assert middle < 0.3
+    assert not found.unlike
+    strange = dataclasses.replace(calm, shown=1000 * calm.shown)
+    assert certificate(recorded(strange), known).unlike
+
+
+def test_few_missions_are_no_certificate():
+    with pytest.raises(InputError, match="12 missions were flown: fly at least 20"):
+        certificate(recorded(drawn(1, seed=5)[0]), drawn(12, seed=1))
+
+
+@pytest.mark.slow
+def test_missions_begin_after_a_rest():
+    """Until then nothing is commanded; what is shown is the swing of that time, with its noise."""
+    run, model = resting(seconds=30.0, noise=0.0)
+    found = fly_rested(planned(limit_s=20.0), Resting.from_run(run, model), (0.0, 0.6), 4, seed=3)
+    assert [each.case.seed for each in found] == [3, 4, 5, 6]
+    assert all(each.case.reached is None for each in found)
+    order = np.argsort([each.case.wind for each in found])
+    swings = np.array([np.linalg.norm(each.shown[1]) for each in found])[order]
+    assert swings[-1] > swings[0]
+    # Upright: the tip is about 20 m above the base.
+    assert all(abs(each.shown[0][2] - 19.9) < 1 for each in found)
