@@ -371,7 +371,8 @@ def test_a_fit_gives_bands_and_its_values_to_the_command(tmp_path, monkeypatch, 
     (tmp_path / "fit" / "result.json").write_text(json.dumps(stored))
     capsys.readouterr()
     assert main(["plan", "--model", "fit", "--pose", "9=20", "--out", "other"]) == 2
-    assert "note: the model of fit is inadequate by the verdict of its fit" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "note: the model of fit is inadequate by the verdict of its fit" in said
 
 
 @pytest.mark.parametrize(
