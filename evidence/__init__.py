@@ -34,6 +34,7 @@ from ._record import (
 )
 from ._right_models import RIGHT_MODELS
 from ._shaping import SHAPING
+from ._station import HOLDING
 from ._steering import STEERING
 from ._study import Study as Study
 from ._suspects import SUSPECTS
@@ -61,6 +62,7 @@ _ALL = (
     SHAPING,
     PLANS,
     STEERING,
+    HOLDING,
     CERTIFICATE,
     TRACKING,
     LEAKS,

@@ -1,6 +1,7 @@
 """The chance of a mission by a recording of the resting arm: what counts, and how true it is."""
 
 import dataclasses
+import json
 import tomllib
 from pathlib import Path
 
@@ -10,8 +11,18 @@ from scipy.special import expit
 from scipy.stats import norm
 
 from giajax import Definition, InputError
-from giajax.apps.mission import Case, Mission, RestedCase, Resting, certificate, fly_rested
-from giajax.recordings import Run
+from giajax.apps.mission import (
+    Case,
+    Mission,
+    RestedCase,
+    Resting,
+    Waiting,
+    certificate,
+    fly_rested,
+)
+from giajax.cli import main
+from giajax.recordings import Run, read_run, write_run
+from small_mission import FILE, small_mission
 
 FOLDER = Path(__file__).resolve().parents[3] / "missions"
 TIP = ("tip_x", "tip_y", "tip_z")
@@ -158,15 +169,60 @@ def test_few_missions_are_no_certificate():
         certificate(recorded(drawn(1, seed=5)[0]), drawn(12, seed=1))
 
 
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """A file of the tip of the resting short arm, and that of its mission."""
+    folder = tmp_path_factory.mktemp("morning")
+    (folder / "mission.toml").write_text(FILE.replace("limit_s = 80.0", "limit_s = 40.0"))
+    run, _ = resting(seconds=30.0, noise=0.0)
+    values = {**run.values, "tip_z": run.values["tip_z"] + 7.9}
+    write_run(folder / "resting.csv", run.times, values, definition={"model": "arm"})
+    return folder
+
+
 @pytest.mark.slow
-def test_missions_begin_after_a_rest():
-    """Until then nothing is commanded; what is shown is the swing of that time, with its noise."""
-    run, model = resting(seconds=30.0, noise=0.0)
-    found = fly_rested(planned(limit_s=20.0), Resting.from_run(run, model), (0.0, 0.6), 4, seed=3)
-    assert [each.case.seed for each in found] == [3, 4, 5, 6]
-    assert all(each.case.reached is None for each in found)
-    order = np.argsort([each.case.wind for each in found])
-    swings = np.array([np.linalg.norm(each.shown[1]) for each in found])[order]
-    assert swings[-1] > swings[0]
-    # Upright: the tip is about 20 m above the base.
-    assert all(abs(each.shown[0][2] - 19.9) < 1 for each in found)
+def test_the_command_says_the_chance_and_writes_what_is_behind_it(recording, monkeypatch, capsys):
+    monkeypatch.chdir(recording)
+    words = ["mission", "mission.toml", "--from-recording", "resting.csv", "--cases", "24"]
+    given = [*words, "--speeds", "0.1,0.9", "--controller", "mpc", "--seed", "3"]
+    assert main([*given, "--out", "chance"]) == 0
+    said = capsys.readouterr().out
+    assert "by the 2 of 24 missions whose rest looked most like it" in said
+    assert "chance to be inside within 40 s: " in said
+    facts = json.loads(Path("chance/certificate.json").read_text())
+    assert facts["interval"][0] < facts["chance"] < facts["interval"][1]
+    rows = np.genfromtxt("chance/certificate.csv", delimiter=",", names=True, dtype=None)
+    assert rows["seed"].tolist() == list(range(3, 27))
+    assert np.sum(np.isfinite(rows["reached_s"])) == facts["inside"]
+    assert np.all((rows["wind_m_per_s"] > 0.1) & (rows["wind_m_per_s"] < 0.9))
+    # A mission is not begun before its rest is over, and ends within its time.
+    assert np.nanmin(rows["reached_s"]) > 10
+    assert np.nanmax(rows["reached_s"]) <= 40
+    assert Path("chance/certificate.png").stat().st_size > 10_000
+    assert main([*given, "--out", "chance"]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert main([*given, "--case", "4"]) == 2
+    assert "--case is of one mission: leave --from-recording out" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_missions_begin_after_a_rest(recording):
+    """What a rest shows is the motion of a mission without commands, with the recording's noise."""
+    mission = small_mission(mission__limit_s=40.0)
+    found = Resting.from_run(read_run(recording / "resting.csv"), mission.model)
+    one, *others = fly_rested(mission, found, (0.5, 0.5001), 3, seed=3)
+    # As long: two minutes, the half minute of the recording, and the mission.
+    rests = dataclasses.replace(
+        mission,
+        section=mission.section.model_copy(update={"limit_s": 190.0}),
+        controller=Waiting(mission.controller, 150.0),
+    )
+    outcome = rests.in_wind(one.case.wind).case(3).fly(3, drawn=mission)
+    end = np.argmax(np.any(outcome.command != 0, axis=1))
+    assert outcome.times[end] == pytest.approx(150.1)
+    rows = (outcome.times > 120 + 1e-9) & (outcome.times < 150 + 1e-9)
+    means = outcome.tip[rows].reshape(60, 5, 3).mean(axis=1)
+    np.testing.assert_allclose(one.shown[0], means.mean(axis=0), atol=1e-3)
+    np.testing.assert_allclose(one.shown[1], means.std(axis=0), atol=1e-3)
+    assert one.case.reached is None or 0 < one.case.reached <= 40
+    assert len({each.case.wind for each in (one, *others)}) == 3

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, Self
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize
@@ -43,8 +44,8 @@ class Waiting(AbstractController):
     """Another controller, which begins after a while: until then the commands stay.
 
     Attributes:
-        controller: that sees all pictures.
-        seconds: before its commands are followed.
+        controller: which begins with the pictures of then.
+        seconds: before it begins.
     """
 
     controller: AbstractController
@@ -59,9 +60,12 @@ class Waiting(AbstractController):
     ) -> tuple[Any, Float[Array, " joint"]]:
         """What the other decides, once it is time."""
         inner, time = memory
-        inner, after = self.controller.decide(scene, inner, picture, command)
-        waits = time < self.seconds - scene.interval / 2
-        return (inner, time + scene.interval), jnp.where(waits, command, after)
+        inner, after = jax.lax.cond(
+            time < self.seconds - scene.interval / 2,
+            lambda: (inner, command),
+            lambda: self.controller.decide(scene, inner, picture, command),
+        )
+        return (inner, time + scene.interval), after
 
     def believed(self, scene: Scene, memory: Any) -> Float[Array, "3"]:
         """As the other does."""
