@@ -35,7 +35,7 @@ centre_px = [319.5, 239.5]
 rotation_deg = [0.0, 35.0, 0.0]
 
 [mission]
-limit_s = 80.0
+limit_s = 100.0
 
 [mission.operator]
 latency_s = 0.4

@@ -211,10 +211,9 @@ def mission(
         raise InputError(f"--keep-station is {keep_station:g}: give seconds from 1 to {_LONGEST:g}")
     alone = ("--speed", speed), ("--page", page), ("--case", case), ("--keep-station", keep_station)
     for option, given in alone:
-        if given is not None and cases is not None:
-            raise InputError(f"{option} is of one mission: leave --cases out")
-        if given is not None and resting_run is not None:
-            raise InputError(f"{option} is of one mission: leave --from-recording out")
+        other = "--cases" if resting_run is None else "--from-recording"
+        if given is not None and (cases is not None or resting_run is not None):
+            raise InputError(f"{option} is of one mission: leave {other} out")
     if page is not None:
         check_output_files([page], force=force)
     values = settings(pairs)

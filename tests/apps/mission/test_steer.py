@@ -188,7 +188,7 @@ def test_a_camera_that_stops_ends_in_the_safe_state(flown):
 @pytest.mark.slow
 def test_the_tip_is_held_before_the_opening():
     """In moving air, from pictures."""
-    held = small_mission().keeping_station(80.0)
+    held = small_mission().keeping_station(100.0)
     outcome = held.case(1).fly(1, drawn=held)
     assert outcome.reached is None
     late = outcome.tip[-300:]
