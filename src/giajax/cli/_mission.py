@@ -112,7 +112,7 @@ def tell_cases(
 
 _RUN = ("run.csv", "run.toml")
 _LONGEST = 3600.0  # s before the opening
-_CASES = 200  # for a recording
+_CASES, _FEWEST = 200, 20  # for a recording
 _SPEEDS = "0,0.05,0.1,0.15,0.2,0.25,0.3"
 
 
@@ -214,6 +214,8 @@ def mission(
         other = "--cases" if resting_run is None else "--from-recording"
         if given is not None and (cases is not None or resting_run is not None):
             raise InputError(f"{option} is of one mission: leave {other} out")
+    if resting_run is not None and cases is not None and cases < _FEWEST:
+        raise InputError(f"--cases is {cases}: a chance takes at least {_FEWEST}")
     if page is not None:
         check_output_files([page], force=force)
     values = settings(pairs)
@@ -246,16 +248,16 @@ def mission(
         count = _CASES if cases is None else cases
         span = min(flown_at), max(flown_at)
         rested = fly_rested(planned, resting, span, count, seed=seed, on_case=on_case)
-        found = certificate(resting, rested)
-        tell_certificate(planned, found, out, as_json=as_json, force=force, quiet=quiet)
+        if len(rested) >= _FEWEST:
+            found = certificate(resting, rested)
+            tell_certificate(planned, found, out, as_json=as_json, force=force, quiet=quiet)
+        _check_all_flown(len(rested), count)
         return
     if cases is not None:
         done = fly_cases(planned, flown_at, cases, seed=seed, on_case=on_case)
         if done.cases:
             tell_cases(planned, done, out, as_json=as_json, force=force, quiet=quiet)
-        if len(done.cases) < cases * len(flown_at):
-            typer.echo(f"stopped after {len(done.cases)} of {cases * len(flown_at)}", err=True)
-            raise typer.Exit(130)
+        _check_all_flown(len(done.cases), cases * len(flown_at))
         return
     if speed is not None:
         planned = planned.in_wind(speed)
@@ -313,6 +315,13 @@ def tell_certificate(
     )
     if out is not None:
         say_written(out, CERTIFICATE_FILES)
+
+
+def _check_all_flown(done: int, whole: int) -> None:
+    """Leave with the status of Ctrl-C where that ended the flights."""
+    if done < whole:
+        typer.echo(f"stopped after {done} of {whole}", err=True)
+        raise typer.Exit(130)
 
 
 def _progress() -> Callable[[int, int], None] | None:

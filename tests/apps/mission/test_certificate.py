@@ -89,6 +89,10 @@ def test_of_a_long_recording_the_end_counts():
             r"joint02_command .* moves by 11\.5 deg: give a recording in which the arm rests",
         ),
         ({"joint31_angle": np.zeros(601)}, "31"),
+        (
+            {"tip_x": np.where(np.arange(601) % 33, np.nan, 0.1)},
+            "tip_x of 'resting' has no two values 2 s apart: record it more often",
+        ),
     ],
 )
 def test_what_is_no_resting_arm_is_refused(changes, sentence):
@@ -163,6 +167,18 @@ def test_air_is_that_of_rests_that_look_alike_and_others_are_unlike():
     assert not found.unlike
     strange = dataclasses.replace(calm, shown=1000 * calm.shown)
     assert certificate(recorded(strange), known).unlike
+
+
+@pytest.mark.parametrize("reached", [None, 60.0])
+def test_where_all_or_none_succeed_there_is_still_an_interval(reached):
+    cases = [
+        dataclasses.replace(each, case=dataclasses.replace(each.case, reached=reached))
+        for each in drawn(200, seed=1)
+    ]
+    found = certificate(recorded(cases[0]), cases)
+    low, high = found.interval if reached else (1 - found.interval[1], 1 - found.interval[0])
+    assert 0.8 < low < 0.999
+    assert high > 0.999
 
 
 def test_few_missions_are_no_certificate():

@@ -32,9 +32,10 @@ _SETTLES = 120.0  # s that an arm is in the air before its recording begins
 _SHORTEST, _LONGEST = 30.0, 120.0  # of a recording, s; of a longer one the end
 _BIN, _LATER = 0.5, 2.0  # s of a mean, and between two that are compared
 _MOVES = np.deg2rad(0.5)  # a command that moves by more is no rest
-# Standard deviations of the prior of a logistic regression of standardised features, weakly
-# informative (Gelman et al., Ann. Appl. Stat. 2 (2008) 1360), and of its constant.
-_SLOPE, _CONSTANT = 2.5, 10.0
+# Standard deviation of the prior of a logistic regression of standardised features, weakly
+# informative (Gelman et al., Ann. Appl. Stat. 2 (2008) 1360).
+_SLOPE = 2.5
+_SMALLEST = 0.01  # deviation of a feature, a logarithm: below it is a constant
 _FEWEST = 20  # missions
 _NEAR = 0.1  # of all missions, those that are shown beside the recording
 _UNLIKE = 0.999  # of drawn rests, the share that are nearer to their middle than what is unlike
@@ -92,7 +93,8 @@ class Resting:
 
         Raises:
             InputError: nothing was measured, a channel that the model of the arm does not show,
-                commands that move or are not those of the straight arm, or less than half a minute.
+                commands that move or are not those of the straight arm, less than half a minute,
+                or a channel that was recorded too seldom.
         """
         run.require_observations()
         model.prepare(run)
@@ -131,7 +133,14 @@ class Resting:
             stated = run.noise(name)
             deviation = _noise(row[there]) if stated is None else stated
             noise[column] = deviation / np.sqrt(np.mean(many[many > 0]))
-        return cls(names, bins, noise)
+        found = cls(names, bins, noise)
+        seldom = np.isnan(found.shown()).any(axis=0)
+        if seldom.any():
+            raise InputError(
+                f"{names[int(np.argmax(seldom))]} of '{run.name}' has no two values {_LATER:g} s "
+                "apart: record it more often"
+            )
+        return found
 
     @property
     def seconds(self) -> float:
@@ -209,7 +218,10 @@ def fly_rested(
         InputError: `[mission.spread]` has a parameter that the arm does not have.
     """
     rest = _SETTLES + resting.seconds
-    section = mission.section.model_copy(update={"limit_s": mission.section.limit_s + rest})
+    section, stops = mission.section, mission.section.camera_stops_s
+    later = {"limit_s": section.limit_s + rest}
+    later |= {} if stops is None else {"camera_stops_s": stops + rest}
+    section = section.model_copy(update=later)
     waits = Waiting(mission.controller, jnp.asarray(rest))
     waiting = dataclasses.replace(mission, section=section, controller=waits)
     waiting.case(seed)
@@ -271,7 +283,7 @@ def certificate(resting: Resting, rested: Sequence[RestedCase]) -> Certificate:
     features = features[sound]
     cases = tuple(each.case for each, used in zip(rested, sound, strict=True) if used)
     inside = np.array([case.reached is not None for case in cases])
-    centre, scale = features.mean(axis=0), features.std(axis=0) + 1e-12
+    centre, scale = features.mean(axis=0), np.maximum(features.std(axis=0), _SMALLEST)
     rows = (features - centre) / scale
     seen = (_features(resting.shown(), middle, kinds) - centre) / scale
     weights, covariance = _regression(rows, inside)
@@ -309,9 +321,15 @@ def _features(
 def _regression(
     features: Float[np.ndarray, "case feature"], inside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of a logistic regression, the constant first, and their covariance (Laplace)."""
+    """Weights of a logistic regression, the constant first, and their covariance (Laplace).
+
+    In their middle there is half a success and half a failure more (Jeffreys' prior of a share), so
+    that it ends where all or none succeed.
+    """
+    features = np.vstack([features, np.zeros(features.shape[1])])
+    inside = np.append(inside, 0.5)
     table = np.column_stack([np.ones(len(features)), features])
-    prior = np.array([_CONSTANT, *[_SLOPE] * features.shape[1]]) ** -2
+    prior = np.array([0.0, *[_SLOPE**-2] * features.shape[1]])
 
     def cost(weights: np.ndarray) -> float:
         logits = table @ weights
