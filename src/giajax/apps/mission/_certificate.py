@@ -148,12 +148,14 @@ class Resting:
         return len(self.bins) * _BIN
 
     def like(self, mission: Mission, outcome: Outcome, random: np.random.Generator) -> Self:
-        """What it would be of a mission that begins with so long a rest."""
+        """What it would be of a mission that begins with so long a rest; NaN where that was lost."""
         rows = round(_BIN / (outcome.times[1] - outcome.times[0]))
         end = 1 + round((_SETTLES + self.seconds) / _BIN) * rows
         some = slice(end - len(self.bins) * rows, end)
         names = ("times", "angles", "rates", "command", "wind")
         rested: Any = {name: getattr(outcome, name)[some] for name in names}
+        if not np.all(np.isfinite(rested["angles"])):
+            return dataclasses.replace(self, bins=np.full_like(self.bins, np.nan))
         moved = motion(mission, dataclasses.replace(outcome, **rested))
         shown, _ = recorded_channels(
             mission.model.sensors, lambda times, end: moved, moved.times, self.channels
@@ -274,7 +276,7 @@ def certificate(resting: Resting, rested: Sequence[RestedCase]) -> Certificate:
     """
     known = [Channel.named(name) for name in resting.channels]
     kinds = [(channel.kind, channel.camera) for channel in known]
-    middle = np.median([each.shown[0] for each in rested], axis=0)
+    middle = np.nanmedian([each.shown[0] for each in rested], axis=0)
     features = np.array([_features(each.shown, middle, kinds) for each in rested])
     # Of a motion that was lost at rest nothing is known.
     sound = np.all(np.isfinite(features), axis=1)
