@@ -2,8 +2,8 @@
 
 Arms and air are drawn as the file of the mission says, the speed of the air evenly from a range in
 which most missions succeed at one end and few at the other. Each rests for a minute, of which the
-place of the tip is recorded with an error of 5 mm, and goes on to the opening. A tenth at a time is
-certified by the missions of the other nine tenths.
+place of the tip is recorded with an error of 5 mm, and goes on to the opening. Each is certified by
+200 others, as many as the command flies.
 """
 
 from typing import Any
@@ -16,7 +16,7 @@ from ._study import Figures, Study
 FILE, DRIVER = "naraha.toml", "operator"
 SPEEDS = (0.1, 0.6)  # m/s
 CHANNELS, NOISE, RATE = ("tip_x", "tip_y", "tip_z"), 0.005, 10.0
-SECONDS, FOLDS = 60.0, 10
+SECONDS, OTHERS = 60.0, 200
 CLASSES = ((0.0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 1.0))
 BETWEEN = (0.2, 0.9)  # share of success at a speed of the air, of the skill that is asked for
 PROBABILITY = 1e-4  # of a disagreement by chance
@@ -25,7 +25,7 @@ PROBABILITY = 1e-4  # of a disagreement by chance
 def run(size: int, seed: int) -> Figures:
     """Figures of so many missions and certificates."""
     rested, resting = _rested(size, seed)
-    return {**_counts(rested), **_certified(rested, resting)}
+    return {**_counts(rested), **_certified(rested, resting.channels, seed)}
 
 
 def part(size: int, seed: int) -> Figures:
@@ -53,24 +53,17 @@ def _counts(rested: Any) -> Figures:
     return {"cases": len(rested), "inside": inside}
 
 
-def _certified(rested: Any, resting: Any) -> Figures:
-    import dataclasses
-
+def _certified(rested: Any, channels: tuple[str, ...], seed: int) -> Figures:
     from scipy import stats
 
-    from giajax.apps.mission import Resting, certificate
+    from giajax.apps.mission import certificate
 
-    class Shown(Resting):
-        """A recording of which only what it shows is kept."""
-
-        def shown(self) -> Any:
-            return self.bins
-
+    random = np.random.default_rng(seed)
     found = []
     for place, each in enumerate(rested):
-        others = [other for k, other in enumerate(rested) if k % FOLDS != place % FOLDS]
-        fields = {each.name: getattr(resting, each.name) for each in dataclasses.fields(resting)}
-        found.append(certificate(Shown(**{**fields, "bins": each.shown}), others))
+        others = np.delete(np.arange(len(rested)), place)
+        some = random.choice(others, min(OTHERS, len(others)), replace=False)
+        found.append(certificate(channels, each.shown, [rested[k] for k in some]))
     chance = np.array([each.chance for each in found])
     inside = np.array([each.case.reached is not None for each in rested], float)
     winds = np.array([each.case.wind for each in rested])

@@ -205,10 +205,18 @@ def _step_times(mission: Any) -> dict[str, float]:
     }
 
 
+def _numbers(figures: Figures) -> dict[str, list[float]]:
+    """Swings, m; infinite where a motion was lost."""
+    return {
+        name: [np.inf if swing is None else swing for swing in each]
+        for name, each in figures["swing_m"].items()
+    }
+
+
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """An arm that is held worse than is to be reached, of those that are held again."""
     del stored  # that limit is for every arm
-    swings = new["swing_m"]
+    swings = _numbers(new)
     pairs = zip(swings["nobody"], swings["mpc"], strict=True)
     return [
         f"arm {number}: the tip swings by {held:.3f} m, and by {free:.3f} m where nobody holds it"
@@ -220,7 +228,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 def table(figures: Figures) -> list[str]:
     """Arms by who holds them."""
-    swings = figures["swing_m"]
+    swings = _numbers(figures)
     free = np.median(swings["nobody"])
     rows = [
         "| held by | swing of the tip, median m | largest m | over that of nobody | settings |",
@@ -228,9 +236,7 @@ def table(figures: Figures) -> list[str]:
     ]
     for name, each in swings.items():
         tuned = figures.get(f"{name}, tuned", {}).get("best", "-")
-        # Of a motion that was lost there is no swing.
-        sizes = [np.inf if swing is None else swing for swing in each]
-        middle, most = np.median(sizes), np.max(sizes)
+        middle, most = np.median(each), np.max(each)
         shown = [f"{x:.3f}" if np.isfinite(x) else "lost" for x in (middle, most, middle / free)]
         rows.append(f"| {name} | {' | '.join(shown)} | {tuned} |")
     step = figures["step_ms"]

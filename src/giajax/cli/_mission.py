@@ -112,8 +112,9 @@ def tell_cases(
 
 _RUN = ("run.csv", "run.toml")
 _LONGEST = 3600.0  # s before the opening
-_CASES, _FEWEST = 200, 20  # for a recording
+_CASES = 200  # for a recording
 _SPEEDS = "0,0.05,0.1,0.15,0.2,0.25,0.3"
+_RANGE = "0,0.6"  # of a recording
 
 
 @command(
@@ -172,14 +173,16 @@ def mission(
     keep_station: Annotated[float | None, "S", "Stay before the opening for so long."] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter of the arm.", "--set"] = None,
     resting_run: Annotated[
-        Path | None, "RUN.csv", "The arm at rest: its chance to come in.", "--from-recording"
+        Path | None, "RUN.csv", "Probability of success, by the arm at rest.", "--from-recording"
     ] = None,
     cases: Annotated[
         int | None, "N", "Fly so many: at each of --speeds, or [200] for --from-recording.", 1
     ] = None,
     speeds: Annotated[
-        str, "M/S,M/S", "Of the air, for --cases; for --from-recording between them."
-    ] = _SPEEDS,
+        str | None,
+        "M/S,M/S",
+        f"Of the air. [for --cases {_SPEEDS}; between {_RANGE} for --from-recording]",
+    ] = None,
     out: Annotated[Path | None, "DIR", "Write numbers and pictures there."] = None,
     as_json: Json = False,
     page: Annotated[Path | None, "FILE.html", "Write a page that plays it."] = None,
@@ -201,6 +204,8 @@ def mission(
     )
 
     check_quiet(quiet, written=out or page, as_json=as_json, by="--out DIR, --page or --json")
+    if speeds is None:
+        speeds = _SPEEDS if resting_run is None else _RANGE
     flown_at = numbers(speeds)
     if flown_at is None or min(flown_at) < 0:
         raise InputError(f"--speeds is '{speeds}': give numbers of at least 0, such as 0,0.1,0.2")
@@ -214,8 +219,6 @@ def mission(
         other = "--cases" if resting_run is None else "--from-recording"
         if given is not None and (cases is not None or resting_run is not None):
             raise InputError(f"{option} is of one mission: leave {other} out")
-    if resting_run is not None and cases is not None and cases < _FEWEST:
-        raise InputError(f"--cases is {cases}: a chance takes at least {_FEWEST}")
     if page is not None:
         check_output_files([page], force=force)
     values = settings(pairs)
@@ -224,6 +227,7 @@ def mission(
     from ..apps.mission import (
         CASES_FILES,
         CERTIFICATE_FILES,
+        FEWEST_CASES,
         MISSION_FILES,
         Mission,
         Resting,
@@ -244,13 +248,24 @@ def mission(
         planned = planned.keeping_station(keep_station)
     on_case = None if quiet else _progress()
     if resting_run is not None:
-        resting = Resting.from_run(read_run(resting_run, definition=definition), planned.model)
         count = _CASES if cases is None else cases
+        if count < FEWEST_CASES:
+            raise InputError(f"--cases is {count}: a chance takes at least {FEWEST_CASES}")
+        recorded = read_run(resting_run, definition=definition)
+        resting = Resting.from_run(recorded, planned.model)
+        if recorded.winds and not quiet:
+            typer.echo("note: the recorded wind is not used", err=True)
         span = min(flown_at), max(flown_at)
         rested = fly_rested(planned, resting, span, count, seed=seed, on_case=on_case)
-        if len(rested) >= _FEWEST:
-            found = certificate(resting, rested)
-            tell_certificate(planned, found, out, as_json=as_json, force=force, quiet=quiet)
+        if len(rested) == count or len(rested) > FEWEST_CASES:
+            found = certificate(resting.channels, resting.shown(), rested)
+            where = {
+                "recording": str(resting_run),
+                "channels": list(resting.channels),
+                "speeds_m_per_s": list(span),
+                "seed": seed,
+            }
+            tell_certificate(planned, found, out, where, as_json=as_json, force=force, quiet=quiet)
         _check_all_flown(len(rested), count)
         return
     if cases is not None:
@@ -284,34 +299,36 @@ def tell_certificate(
     mission: "Mission",
     found: "Certificate",
     out: Path | None,
+    origin: dict[str, Any],
     *,
     as_json: bool,
     force: bool,
     quiet: bool,
 ) -> None:
-    """Tell and write the chance of a mission."""
+    """Tell and write the chance of a mission, and where that comes from."""
     from ..apps.mission import CERTIFICATE_FILES, certificate_files, certificate_json
 
     if out is not None:
-        write_folder(out, certificate_files(mission, found), force=force)
-    if found.unlike:
+        write_folder(out, certificate_files(mission, found, **origin), force=force)
+    if found.unlike and not quiet:
         typer.echo(
             "note: the recording is unlike any of the drawn arms at rest: the arm is another than "
-            "the file says, or the air is none of --speeds; do not rely on the chance",
+            "the file says, or the air is stronger than --speeds: do not rely on the chance",
             err=True,
         )
     if as_json:
-        typer.echo(certificate_json(mission, found))
+        typer.echo(certificate_json(mission, found, **origin))
     if as_json or quiet:
         return
     low, high = (100 * each for each in found.interval)
     least, middle, most = found.air
     inside = sum(case.reached is not None for case in found.near)
     typer.echo(
-        f"air of {middle:.2f} m/s ({least:.2f} to {most:.2f}) by the {len(found.near)} of "
-        f"{len(found.cases)} missions whose rest looked most like it, {inside} of which came in\n\n"
+        f"{inside} of the {len(found.near)} missions with the most similar rest, of "
+        f"{len(found.cases)}, came in; their air: median {middle:.2f} m/s, least {least:.2f}, "
+        f"largest {most:.2f}\n\n"
         f"chance to be inside within {mission.section.limit_s:g} s: {100 * found.chance:.0f} % "
-        f"({low:.0f} to {high:.0f})"
+        f"(95 %: {low:.0f} to {high:.0f} %)"
     )
     if out is not None:
         say_written(out, CERTIFICATE_FILES)

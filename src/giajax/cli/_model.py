@@ -1,6 +1,7 @@
 """`giajax parameters` and `predict`, and the model that a command is given, in all alike."""
 
 import json
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -66,7 +67,7 @@ def say_doubts(path: Path | None, what: str, *, quiet: bool) -> None:
     if verdict.get("status") in DOUBTED:
         typer.echo(
             f"note: the model of {path} is {verdict['status']} by the verdict of its fit, so that "
-            f"{what} may be wrong: see giajax report {path}",
+            f"{what} may be wrong: see giajax report {shlex.quote(str(path))}",
             err=True,
         )
 

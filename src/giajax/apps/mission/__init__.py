@@ -2,6 +2,7 @@
 
 from ._cases import Case as Case, Cases as Cases, Tally as Tally, fly_cases as fly_cases
 from ._certificate import (
+    FEWEST_CASES as FEWEST_CASES,
     Certificate as Certificate,
     RestedCase as RestedCase,
     Resting as Resting,

@@ -1,11 +1,10 @@
-"""The chance of a mission, from a minute in which the arm rests in the air.
+"""Probability of the success of a mission, from a recording of the arm at rest.
 
-Missions of drawn arms in drawn air begin with the arm at rest. What a recording of that would show
-is known of each, and how it ended. A logistic regression of its end on what its rest shows gives
-the chance of a mission for whatever a recording shows. That is the posterior mean of success, the
-summary of a recording that loses the least (Fearnhead and Prangle, J. R. Stat. Soc. B 74 (2012)
-419): there is no likelihood, and no estimate of the air between. It is calibrated for arms and air
-as they are drawn.
+Missions of drawn arms in drawn air begin with the arm at rest, so that what a recording of that
+would show is known of each, and whether it succeeded. A logistic regression of success on a few
+numbers of each rest estimates its probability for what a recording shows: inference by simulations
+without a likelihood, with a regression in place of the posterior (Fearnhead and Prangle, J. R.
+Stat. Soc. B 74 (2012) 419). It depends on how arms and air are drawn.
 """
 
 import dataclasses
@@ -18,15 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
-from scipy.stats import chi2, norm
+from scipy.stats import f as ratio_of_variances, norm
 
 from ...models import ArmModel, recorded_channels
 from ...recordings import Channel, Run
 from ...runtime.arrays import Array, Float, Scalar
 from ...runtime.text import InputError
+from ..synthetic import logged_motion
 from ._cases import Case, flown_on_all_cores
 from ._controller import AbstractController, Picture, Scene, number
-from ._mission import Mission, Outcome, motion
+from ._mission import Mission, Outcome
 
 _SETTLES = 120.0  # s that an arm is in the air before its recording begins
 _SHORTEST, _LONGEST = 30.0, 120.0  # of a recording, s; of a longer one the end
@@ -36,9 +36,12 @@ _MOVES = np.deg2rad(0.5)  # a command that moves by more is no rest
 # informative (Gelman et al., Ann. Appl. Stat. 2 (2008) 1360).
 _SLOPE = 2.5
 _SMALLEST = 0.01  # deviation of a feature, a logarithm: below it is a constant
-_FEWEST = 20  # missions
+_NEIGHBOURS = 0.2  # s between two rows, so that what differs is noise and not motion
+FEWEST_CASES = 20
+"""Missions that a certificate takes at least."""
+
 _NEAR = 0.1  # of all missions, those that are shown beside the recording
-_UNLIKE = 0.999  # of drawn rests, the share that are nearer to their middle than what is unlike
+_UNLIKE = 0.001  # level of the test for a recording that is unlike the drawn rests
 
 
 class Waiting(AbstractController):
@@ -92,13 +95,25 @@ class Resting:
         """Of a run; of its last two minutes where it is longer.
 
         Raises:
-            InputError: nothing was measured, a channel that the model of the arm does not show,
-                commands that move or are not those of the straight arm, less than half a minute,
-                or a channel that was recorded too seldom.
+            InputError: nothing was measured, a channel that the model of the arm does not show
+                without integrating it, no commands, commands that are no angles, move or are not
+                those of the straight arm, less than half a minute, a channel that was recorded too
+                seldom, or no noise that is stated or can be told from the motion.
         """
         run.require_observations()
         model.prepare(run)
+        _shown_by(model, np.zeros((2, model.arm.count)), tuple(run.observations))
+        if not run.commands:
+            raise InputError(
+                f"'{run.name}' has no commands: add those of the resting arm, such as a column "
+                "joint01_command_deg of zeros"
+            )
         for name, row in run.commands.items():
+            if Channel.named(name).kind != "joint_command":
+                raise InputError(
+                    f"'{run.name}' is driven by {name}, and a mission by commanded angles: give "
+                    "those"
+                )
             if np.ptp(row) > _MOVES:
                 raise InputError(
                     f"{name} of '{run.name}' moves by {np.rad2deg(np.ptp(row)):.1f} deg: give a "
@@ -113,7 +128,7 @@ class Resting:
         times = run.times - run.times[-1]
         if -times[0] < _SHORTEST:
             raise InputError(
-                f"'{run.name}' lasts {-times[0]:.0f} s: record the resting arm for at least "
+                f"'{run.name}' lasts {-times[0]:.1f} s: record the resting arm for at least "
                 f"{_SHORTEST:g} s, better for a minute"
             )
         late = times >= -_LONGEST
@@ -131,7 +146,12 @@ class Resting:
             total = np.bincount(place[there], row[there], minlength=count)
             bins[many > 0, column] = total[many > 0] / many[many > 0]
             stated = run.noise(name)
-            deviation = _noise(row[there]) if stated is None else stated
+            deviation = _noise(times[there], row[there]) if stated is None else stated
+            if deviation is None:
+                raise InputError(
+                    f"{name} of '{run.name}' is recorded too seldom to tell its noise from the "
+                    "motion: state it in [noise] of its sidecar"
+                )
             noise[column] = deviation / np.sqrt(np.mean(many[many > 0]))
         found = cls(names, bins, noise)
         seldom = np.isnan(found.shown()).any(axis=0)
@@ -148,25 +168,20 @@ class Resting:
         return len(self.bins) * _BIN
 
     def like(self, mission: Mission, outcome: Outcome, random: np.random.Generator) -> Self:
-        """What it would be of a mission that begins with so long a rest; NaN where that was lost."""
+        """What it would be of a mission that begins with so long a rest; NaN where it was lost."""
         rows = round(_BIN / (outcome.times[1] - outcome.times[0]))
         end = 1 + round((_SETTLES + self.seconds) / _BIN) * rows
         some = slice(end - len(self.bins) * rows, end)
-        names = ("times", "angles", "rates", "command", "wind")
-        rested: Any = {name: getattr(outcome, name)[some] for name in names}
-        if not np.all(np.isfinite(rested["angles"])):
+        angles, rates = outcome.angles[some], outcome.rates[some]
+        if not np.all(np.isfinite(angles)):
             return dataclasses.replace(self, bins=np.full_like(self.bins, np.nan))
-        moved = motion(mission, dataclasses.replace(outcome, **rested))
-        shown, _ = recorded_channels(
-            mission.model.sensors, lambda times, end: moved, moved.times, self.channels
-        )
-        table = np.stack([np.asarray(shown[name]) for name in self.channels], axis=1)
+        table = _shown_by(mission.model, angles, self.channels, rates, outcome.times[some])
         bins = table.reshape(len(self.bins), rows, -1).mean(axis=1)
         bins = bins + self.noise * random.normal(size=bins.shape)
         return dataclasses.replace(self, bins=np.where(np.isfinite(self.bins), bins, np.nan))
 
     def shown(self) -> Float[np.ndarray, "3 channel"]:
-        """Of each channel its mean, how far it swings about that, and by how much it moves on."""
+        """Mean and standard deviation of each channel, and that of its changes over 2 s."""
         later = round(_LATER / _BIN)
         with warnings.catch_warnings():
             # A channel of which nothing was recorded.
@@ -175,11 +190,28 @@ class Resting:
             return np.stack([np.nanmean(self.bins, axis=0), np.nanstd(self.bins, axis=0), moves])
 
 
-def _noise(values: np.ndarray) -> float:
-    """Standard deviation of white noise, by second differences that are no outliers."""
-    if len(values) < 3:
-        return 0.0
-    return float(1.4826 * np.median(np.abs(np.diff(values, 2))) / np.sqrt(6))
+def _shown_by(
+    model: ArmModel,
+    angles: Float[np.ndarray, "row joint"],
+    channels: tuple[str, ...],
+    rates: Float[np.ndarray, "row joint"] | None = None,
+    times: Float[np.ndarray, " row"] | None = None,
+) -> Float[np.ndarray, "row channel"]:
+    """Channels of an arm that goes through some rows."""
+    still = np.zeros_like(angles)
+    times = np.arange(len(angles)) * _BIN if times is None else times
+    wind = np.zeros((len(angles), 3))
+    moved = logged_motion(model.arm, times, angles, still if rates is None else rates, still, wind)
+    shown, _ = recorded_channels(model.sensors, lambda times, end: moved, moved.times, channels)
+    return np.stack([np.asarray(shown[name]) for name in channels], axis=1)
+
+
+def _noise(times: np.ndarray, values: np.ndarray) -> float | None:
+    """Standard deviation of white noise, by second differences; None where rows are too far off."""
+    close = times[2:] - times[:-2] < 2 * _NEIGHBOURS
+    if not np.any(close):
+        return None
+    return float(1.4826 * np.median(np.abs(np.diff(values, 2)[close])) / np.sqrt(6))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -187,7 +219,7 @@ class RestedCase:
     """A mission that was flown after a rest.
 
     Attributes:
-        case: its air and its end; times are those after the rest.
+        case: its air and its end, after so long; what it touched, it may have touched at rest.
         shown: by its rest, as of `Resting.shown`.
     """
 
@@ -217,7 +249,8 @@ def fly_rested(
         on_case: told how many there are of how many, after each.
 
     Raises:
-        InputError: `[mission.spread]` has a parameter that the arm does not have.
+        InputError: `[mission.spread]` has a parameter that the arm does not have, or the opening is
+            where the arm rests.
     """
     rest = _SETTLES + resting.seconds
     section, stops = mission.section, mission.section.camera_stops_s
@@ -233,6 +266,8 @@ def fly_rested(
         air = float(random.uniform(*speeds))
         drawn = waiting.in_wind(air).case(seed)
         outcome = drawn.fly(seed, drawn=waiting)
+        if outcome.reached is not None and outcome.reached <= rest:
+            raise InputError("the tip is inside while the arm rests: give another opening")
         shown = resting.like(drawn, outcome, random).shown()
         if outcome.reached is not None:
             outcome = dataclasses.replace(outcome, reached=outcome.reached - rest)
@@ -247,9 +282,11 @@ class Certificate:
 
     Attributes:
         chance: to be inside in time.
-        interval: between which the chance is, with 95 %: so many missions leave that open.
-        near: missions whose rests looked most like the recording, a tenth of all.
-        unlike: whether hardly any rest was so far from the others.
+        interval: 95 % confidence interval of the chance from the number of missions; the error of
+            the logistic model is not in it.
+        near: the tenth of all missions whose rests were nearest to the recording.
+        unlike: whether the recording is none of the drawn rests, by Hotelling's test at 0.1 % for
+            normal logarithms.
         cases: all that were flown.
         chances: of each of those, by what its own rest shows.
     """
@@ -268,38 +305,58 @@ class Certificate:
         return min(winds), float(np.median(winds)), max(winds)
 
 
-def certificate(resting: Resting, rested: Sequence[RestedCase]) -> Certificate:
+def certificate(
+    channels: Sequence[str],
+    shown: Float[np.ndarray, "3 channel"],
+    rested: Sequence[RestedCase],
+) -> Certificate:
     """The chance of a mission by a recording, and missions that were flown after a rest.
+
+    Arguments:
+        channels: of the recording.
+        shown: by it, as of `Resting.shown`.
+        rested: the missions.
 
     Raises:
         InputError: fewer than 20 missions whose rest was followed.
     """
-    known = [Channel.named(name) for name in resting.channels]
+    known = [Channel.named(name) for name in channels]
     kinds = [(channel.kind, channel.camera) for channel in known]
     middle = np.nanmedian([each.shown[0] for each in rested], axis=0)
     features = np.array([_features(each.shown, middle, kinds) for each in rested])
     # Of a motion that was lost at rest nothing is known.
     sound = np.all(np.isfinite(features), axis=1)
-    if np.sum(sound) < _FEWEST:
-        raise InputError(f"{np.sum(sound)} missions were flown: fly at least {_FEWEST}")
+    if np.sum(sound) < FEWEST_CASES:
+        raise InputError(
+            f"{np.sum(sound)} of {len(rested)} missions could be followed at rest: a chance takes "
+            f"{FEWEST_CASES}, so fly more"
+        )
     features = features[sound]
     cases = tuple(each.case for each, used in zip(rested, sound, strict=True) if used)
     inside = np.array([case.reached is not None for case in cases])
     centre, scale = features.mean(axis=0), np.maximum(features.std(axis=0), _SMALLEST)
     rows = (features - centre) / scale
-    seen = (_features(resting.shown(), middle, kinds) - centre) / scale
+    seen = (_features(shown, middle, kinds) - centre) / scale
     weights, covariance = _regression(rows, inside)
     row = np.append(1.0, seen)
     half = norm.ppf(0.975) * np.sqrt(row @ covariance @ row)
     low, chance, high = expit(row @ weights + half * np.array([-1, 0, 1]))
     metric = np.linalg.inv(np.atleast_2d(np.cov(rows.T)) + 1e-6 * np.eye(len(seen)))
+    count, free = len(rows), max(len(rows) - len(seen), 1)
+    # Of one more row of as many (Hotelling).
+    most = (
+        len(seen)
+        * (count**2 - 1)
+        / (count * free)
+        * ratio_of_variances.isf(_UNLIKE, len(seen), free)
+    )
     gaps = rows - seen
     order = np.argsort(np.einsum("ij,jk,ik->i", gaps, metric, gaps))
     return Certificate(
         chance=float(chance),
         interval=(float(low), float(high)),
         near=tuple(cases[k] for k in order[: max(1, round(_NEAR * len(cases)))]),
-        unlike=bool(seen @ metric @ seen > chi2.ppf(_UNLIKE, len(seen))),
+        unlike=bool(seen @ metric @ seen > most),
         cases=cases,
         chances=expit(weights[0] + rows @ weights[1:]),
     )

@@ -222,18 +222,24 @@ def cases_figure(mission: Mission, cases: Cases) -> Figure:
 CERTIFICATE_FILES = ("certificate.json", "certificate.csv", "certificate.png")
 
 
-def certificate_files(mission: Mission, found: Certificate) -> dict[str, bytes]:
-    """Numbers and a picture of a certificate, by the names of `CERTIFICATE_FILES`."""
+def certificate_files(mission: Mission, found: Certificate, **origin: Any) -> dict[str, bytes]:
+    """Numbers and a picture of a certificate, by the names of `CERTIFICATE_FILES`.
+
+    What else its JSON says is where it comes from.
+    """
     columns = {**_columns(found.cases), "chance": found.chances.tolist()}
     return {
-        "certificate.json": f"{certificate_json(mission, found)}\n".encode(),
+        "certificate.json": f"{certificate_json(mission, found, **origin)}\n".encode(),
         "certificate.csv": to_csv(columns),
         "certificate.png": to_png(certificate_figure(mission, found)),
     }
 
 
-def certificate_json(mission: Mission, found: Certificate) -> str:
+def certificate_json(mission: Mission, found: Certificate, **origin: Any) -> str:
     """The chance of a mission, and what it is taken from, as JSON text."""
+    section = mission.section.contents()
+    # Each has flown in air of its own speed.
+    wind = {key: one for key, one in section.get("wind", {}).items() if key != "speed_m_per_s"}
     facts = {
         "chance": found.chance,
         "interval": list(found.interval),
@@ -244,7 +250,8 @@ def certificate_json(mission: Mission, found: Certificate) -> str:
         "cases": len(found.cases),
         "inside": sum(case.reached is not None for case in found.cases),
         "controller": mission.driver,
-        "mission": mission.section.contents(),
+        **origin,
+        "mission": {**section, "wind": wind},
     }
     return json.dumps(plain_data(facts), indent=2)
 
@@ -263,10 +270,15 @@ def certificate_figure(mission: Mission, found: Certificate) -> Figure:
             label=f"{label} ({np.sum(these)})", linewidth=0,
         )  # fmt: skip
     low, high = found.interval
-    panel.axvspan(100 * low, 100 * high, color=LIGHT, linewidth=0, label="of the recording, 95 %")
+    panel.axvspan(100 * low, 100 * high, color=LIGHT, linewidth=0, label="of the recording (95 %)")
     panel.axvline(100 * found.chance, color=GREY, linewidth=1.2)
     panel.set_xlim(-2, 102)
-    panel.set_ylim(0, 1.05 * winds.max())
-    plain(panel, f"{len(winds)} drawn missions", "chance by its rest (%)", "speed of the air (m/s)")
+    panel.set_ylim(0, 1.05 * max(winds.max(), 0.05))
+    plain(
+        panel,
+        f"{len(winds)} drawn missions",
+        "chance by the rest of each (%)",
+        "speed of the air (m/s)",
+    )
     panel.legend(fontsize=8, frameon=False, loc="upper right")
     return figure
