@@ -72,10 +72,10 @@ def _git(*arguments: str) -> str | None:
 
 def write(content: dict[str, Any], folder: Path = FOLDER) -> Path:
     """Write NAME.json into a folder; returns its path."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{content['study']}.json"
     from giajax.runtime.records import plain_data
 
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{content['study']}.json"
     # What is no number is null: a study that ran for an hour is not lost for it.
     text = json.dumps(plain_data(content), indent=2, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")

@@ -48,7 +48,12 @@ approach = {joints = [1, 3, 5, 7], angles_deg = [-8.0, -13.0, -32.0, -55.0]}
 
 def small_mission(controller: str = "mpc", **changes: object) -> Mission:
     """With other values of its file: `mission__limit_s=20.0`."""
-    data = tomllib.loads(FILE)
+    return mission_of(FILE, controller, changes)
+
+
+def mission_of(text: str, controller: str, changes: dict[str, object]) -> Mission:
+    """The mission of a file, with other values of it."""
+    data = tomllib.loads(text)
     for path, value in changes.items():
         *sections, key = path.split("__")
         functools.reduce(lambda table, name: table[name], sections, data)[key] = value

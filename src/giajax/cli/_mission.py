@@ -215,9 +215,10 @@ def mission(
     if keep_station is not None and not 1 <= keep_station <= _LONGEST:
         raise InputError(f"--keep-station is {keep_station:g}: give seconds from 1 to {_LONGEST:g}")
     alone = ("--speed", speed), ("--page", page), ("--case", case), ("--keep-station", keep_station)
+    many = (("--from-recording", resting_run), ("--cases", cases))
+    other = next((option for option, given in many if given is not None), None)
     for option, given in alone:
-        other = "--cases" if resting_run is None else "--from-recording"
-        if given is not None and (cases is not None or resting_run is not None):
+        if given is not None and other is not None:
             raise InputError(f"{option} is of one mission: leave {other} out")
     if page is not None:
         check_output_files([page], force=force)

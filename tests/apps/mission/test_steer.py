@@ -1,9 +1,7 @@
 """Model predictive control: its plan beside a simulation, what it may know, and how it ends."""
 
 import dataclasses
-import functools
 import json
-import tomllib
 from pathlib import Path
 
 import equinox as eqx
@@ -14,10 +12,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import lsq_linear
 
-from giajax import Definition, InputError, simulate
+from giajax import InputError, simulate
 from giajax.apps.mission import (
     CONTROLLERS,
-    Mission,
     Picture,
     Scene,
     box_least_squares,
@@ -28,18 +25,14 @@ from giajax.apps.tracking import Gaussian, Held
 from giajax.mechanics.arm import tip_position
 from giajax.schema.parameters import replace
 from giajax.simulation import Stepper, ramps
-from small_mission import small_mission
+from small_mission import mission_of, small_mission
 
 FOLDER = Path(__file__).resolve().parents[3] / "missions"
 
 
 def steered(controller="mpc", **changes):
-    data = tomllib.loads((FOLDER / "naraha.toml").read_text(encoding="utf-8"))
-    data["mission"]["limit_s"] = 120.0
-    for path, value in changes.items():
-        *sections, key = path.split("__")
-        functools.reduce(lambda table, name: table[name], sections, data)[key] = value
-    return Mission.from_definition(Definition.parse(data), controller=controller)
+    text = (FOLDER / "naraha.toml").read_text(encoding="utf-8")
+    return mission_of(text, controller, {"mission__limit_s": 120.0, **changes})
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
