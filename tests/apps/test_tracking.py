@@ -16,6 +16,7 @@ import pytest
 import giajax
 from giajax import InputError, Run, replace
 from giajax.apps.tracking import (
+    BAND,
     Air,
     Bias,
     Held,
@@ -28,6 +29,7 @@ from giajax.apps.tracking import (
     tracked_arm,
     unseen,
 )
+from giajax.apps.viewer import shown
 from giajax.apps.wind import first_guess
 from giajax.cli import main
 from giajax.recordings import LineReader
@@ -357,6 +359,13 @@ def test_the_command_writes_a_run_bands_a_page_and_says_what_is_wrong(model, tmp
     with (out / "bands.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert float(rows[-1]["filtered_tip_x_deviation_m"]) > 0
+    # The last link ends at the tip, and is drawn there.
+    tip = [float(rows[-1][f"smoothed_tip_{axis}_m"]) for axis in "xyz"]
+    bands = shown(out).bands
+    np.testing.assert_allclose(bands.centres[-1, -1], tip)
+    spread = [float(rows[-1][f"smoothed_tip_{axis}_deviation_m"]) for axis in "xyz"]
+    np.testing.assert_allclose(bands.halves[-1, -1], BAND * np.array(spread), rtol=1e-6)
+    assert np.all(np.diff(np.linalg.norm(bands.centres[-1], axis=1)) > 0.5)
     assert float(rows[-1]["known_at_s"]) == pytest.approx(float(rows[-1]["time_s"]) + 0.3)
     page = (out / "track.html").read_text()
     assert "camera.delay" in page

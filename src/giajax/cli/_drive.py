@@ -315,11 +315,13 @@ Examples:
   giajax view run.csv --page run.html
                             a file that plays without a server
   giajax view my_arm.toml   an arm, with a slider for each joint
+  giajax view tracked --truth true.csv
+                            where a track has found the arm, with bands
   giajax view run.csv --no-browser --host 0.0.0.0 --port 8100
                             for a browser on another machine
 
-WHAT is a recorded or simulated run, the folder of a fit (or its result.json), or
-the TOML file of an arm. The page listens on this machine alone unless --host says
+WHAT is a recorded or simulated run, the folder of a fit (or its result.json) or of
+a track, or the TOML file of an arm. The page listens on this machine alone unless --host says
 otherwise, and opens only by its whole address, which has a token in it.""",
     group="first",
     old={"--out": "--page"},
@@ -329,6 +331,9 @@ def view(
     data: Annotated[Paths, "RUN.csv", "A fitted run, if it has moved."] = None,
     run: Annotated[str | None, "NAME", "Which run of a fit of several (the first)."] = None,
     rename: Renamed = None,
+    truth: Annotated[
+        Path | None, "TRUE.csv", "True angles of all joints, shown in the same place."
+    ] = None,
     overlay: Annotated[bool, "All in one place instead of side by side."] = False,
     page: Annotated[Path | None, "FILE.html", "Write a page that plays without a server."] = None,
     dark: Annotated[bool, "Of --page: light on dark."] = False,
@@ -342,7 +347,7 @@ def view(
 
     With what is around it. Recorded markers beside those of the model, and a time bar.
     """
-    from ..recordings import check_output_files, parse_rename, write_files
+    from ..recordings import check_output_files, parse_rename, read_run, write_files
 
     if page is not None:
         check_output_files([page], force=force)
@@ -350,10 +355,11 @@ def view(
     for path in what:
         if not path.exists():
             raise InputError(f"{path} does not exist: give a run, the folder of a fit, or an arm")
+    true = None if truth is None else read_run(truth, rename=renamed)
     configure()
     import numpy as np
 
-    from ..apps.viewer import Posable, Viewer, check_viser, recording, shown
+    from ..apps.viewer import Posable, Viewer, check_viser, posed, recording, shown
 
     check_viser()
     names: list[str | None] = [None] * len(what)
@@ -363,10 +369,12 @@ def view(
         shown(path, data=data or [], rename=renamed, run=run, name=name)
         for path, name in zip(what, names, strict=True)
     ]
-    if len(found) > 1 and any(isinstance(each, Posable) for each in found):
+    if len(found) + (true is not None) > 1 and any(isinstance(each, Posable) for each in found):
         raise InputError(
             "an arm without a motion is shown by itself: give one TOML file, or runs and fits"
         )
+    if true is not None:
+        found, overlay = [*found, posed(true, "truth")], True
     if page is not None:
         shows = [
             each.show(np.zeros(each.arm.count)) if isinstance(each, Posable) else each

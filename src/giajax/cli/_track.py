@@ -40,14 +40,6 @@ _HEARD = "recorded.csv"  # what came from standard input
 _PATIENCE = 10.0  # s
 _SHARE = 0.3  # of a parameter: its deviation, where none is stated
 
-_FACTS, _PICTURE, _PAGE, _BANDS, _RUN = (
-    "track.json",
-    "track.png",
-    "track.html",
-    "bands.csv",
-    "estimate.csv",
-)
-
 
 @command(
     """\b
@@ -130,6 +122,8 @@ def track(
     A square-root extended Kalman filter and a smoother over angles, rates, what joints remember,
     lagging drives, biases, mean wind and gusts, by the arm's own equation of motion.
     """
+    configure()
+    from ..apps.tracking import TRACK_FILES
     from ..recordings import (
         check_output_folder,
         observing,
@@ -140,7 +134,7 @@ def track(
     )
 
     check_quiet(quiet, written=out, as_json=as_json, by="--out DIR or --json")
-    names = [_FACTS, _PICTURE, _BANDS, _RUN, _RUN.replace(".csv", ".toml"), _PAGE, _HEARD]
+    names = [*TRACK_FILES, TRACK_FILES.estimate.replace(".csv", ".toml"), _HEARD]
     followed = live is not None or run == _STANDARD_INPUT
     if live is not None and not 0 < live < math.inf:
         raise InputError(f"--live is {live:g}: give a positive number of seconds")
@@ -157,7 +151,6 @@ def track(
         return observing(recorded, channels) if channels else recorded
 
     say_doubts(model, "what it tracks", quiet=quiet)
-    configure()
     from ..apps.tracking import (
         Unknown,
         band_columns,
@@ -226,16 +219,16 @@ def track(
     text = json.dumps(facts, indent=2, allow_nan=False)
     picture = to_png(track_figure(found))
     contents = {
-        _FACTS: f"{text}\n".encode(),
-        _PICTURE: picture,
-        _BANDS: _table(band_columns(found)),
+        TRACK_FILES.facts: f"{text}\n".encode(),
+        TRACK_FILES.picture: picture,
+        TRACK_FILES.bands: _table(band_columns(found)),
     }
     page = _page(found, verdict, hidden, picture, study_page)
     if page is not None:
-        contents[_PAGE] = page
+        contents[TRACK_FILES.page] = page
     write_folder(out, contents, force=force)
     how: dict[str, Any] = {"definition": estimate_definition(found), "force": force}
-    write_run(out / _RUN, found.times, estimate_columns(found), **how)
+    write_run(out / TRACK_FILES.estimate, found.times, estimate_columns(found), **how)
     if as_json:
         # Of a run that was followed, a line as those before it.
         typer.echo(json.dumps(facts, allow_nan=False) if followed else text)
@@ -243,9 +236,9 @@ def track(
         _show(found, verdict, hidden)
         if said is not None:
             typer.echo(said)
-        say_written(out, [*contents, _RUN])
+        say_written(out, [*contents, TRACK_FILES.estimate])
         if page is None:
-            typer.echo("note: track.html needs the extra report")
+            typer.echo(f"note: {TRACK_FILES.page} needs the extra report")
 
 
 def _true(path: Path) -> "Run":

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from ..runtime.aliases import earlier as _earlier
 from . import capabilities as capabilities
-from ._arm import ArmInputs as ArmInputs, ArmModel as ArmModel
+from ._arm import ArmInputs as ArmInputs, ArmModel as ArmModel, wind_of as wind_of
 from ._arm_conditions import SCALE as SCALE, arm_variants as arm_variants
 from ._arm_definition import (
     arm_from_definition as arm_from_definition,

@@ -176,7 +176,7 @@ def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
     if run.model != "arm" or run.times is None:
         raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of an arm")
     times = run.times
-    wind = _wind(arm, run, times)
+    wind = wind_of(arm, run)
     check_wind(arm, wind)
     driven = any(run.channels[name].kind == "joint_torque" for name in run.commands)
     interpolation = run.definition.section(CommandSection).interpolation
@@ -227,13 +227,21 @@ def _table(arm: Arm, run: Run, times: np.ndarray, kind: str) -> np.ndarray:
     return values
 
 
-def _wind(arm: Arm, run: Run, times: np.ndarray) -> Signal | None:
-    """The wind of the arm, or of each link: where a link has no columns, that of the arm."""
+def wind_of(arm: Arm, run: Run) -> Signal | None:
+    """The wind that a run states, m/s: of the arm, or of each link; None where it states none.
+
+    Where a link has no columns, it has the wind of the arm.
+
+    Raises:
+        InputError: the wind of a link that the arm does not have.
+    """
     section = run.definition.section(WindSection)
     if section.velocity_m_per_s is not None:
         return constant(section.velocity_m_per_s)
     if not run.winds:
         return None
+    times = run.times
+    assert times is not None
     velocity = np.zeros((len(times), arm.count, 3))
     each = False
     for own in (False, True):

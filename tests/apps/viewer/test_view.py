@@ -13,7 +13,17 @@ from scipy.spatial.transform import Rotation
 import giajax
 from browsing import opened
 from giajax import InputError
-from giajax.apps.viewer import Posable, Show, Viewer, _stage as _backend, recording, shown
+from giajax.apps.tracking import BAND, end_columns
+from giajax.apps.viewer import (
+    Posable,
+    Show,
+    Viewer,
+    _stage as _backend,
+    posed,
+    recording,
+    shown,
+    words,
+)
 from giajax.cli import main
 from giajax.models import ArmModel, Pinhole
 from open_ports import open_ports
@@ -62,6 +72,87 @@ def test_an_arm_is_posed_by_hand(tmp_path):
     path.write_text('model = "joint"\n')
     with pytest.raises(InputError, match="describes a joint: give the TOML file of an arm"):
         shown(path)
+
+
+POSED = {"arm": {"links": 2}, "initial": {"first_row": True}}
+
+
+def angles_of(count, lift):
+    """Two joints that lift by so much (rad) in a second."""
+    times = np.linspace(0.0, 1.0, count)
+    return times, {"joint01_angle": lift * times, "joint02_angle": 0.0 * times}
+
+
+def test_an_arm_is_posed_by_its_recorded_angles():
+    """Nothing is simulated: an arm that would fall stays where its angles say."""
+    times, angles = angles_of(5, 0.4)
+    found = posed(giajax.Run.from_arrays(times, angles, definition=POSED), "truth")
+    link = found.scene.lines[0].points[:, 1]
+    assert_allclose(np.arctan2(link[:, 2], link[:, 0]), 0.4 * times, atol=1e-12)
+    alone = {"joint01_angle": angles["joint01_angle"]}
+    with pytest.raises(InputError, match="has no joint02_angle: give the angles of all 2 joints"):
+        posed(giajax.Run.from_arrays(times, alone, definition=POSED), "truth")
+    angles["joint02_angle"][3] = np.nan
+    with pytest.raises(InputError, match=r"lacks an angle at 0\.75 s"):
+        posed(giajax.Run.from_arrays(times, angles, definition=POSED), "truth")
+
+
+def tracked_folder(folder, lift=0.4):
+    """What `giajax track` writes of an arm of two links, as far as it is shown."""
+    times, angles = angles_of(5, lift)
+    giajax.write_run(folder / "estimate.csv", times, angles, definition=POSED)
+    (folder / "track.json").write_text("{}")
+    ends = posed(giajax.read_run(folder / "estimate.csv"), "").scene.lines
+    columns = {"time_s": times}
+    for link in (0, 1):
+        for k, axis in enumerate("xyz"):
+            mean, deviation = end_columns(link, axis)
+            columns[mean] = ends[link].points[:, 1, k]
+            columns[deviation] = np.full(5, 0.01 * (1 + k + 3 * link))
+    table = np.stack([*columns.values()], axis=1)
+    header = ",".join(columns)
+    np.savetxt(folder / "bands.csv", table, delimiter=",", header=header, comments="")
+    return folder
+
+
+def test_a_track_is_shown_with_its_bands(tmp_path):
+    found = shown(tracked_folder(tmp_path))
+    assert_allclose(found.bands.centres[:, 1], found.scene.markers["tip"], atol=1e-12)
+    assert_allclose(found.bands.halves[2] / BAND, [[0.01, 0.02, 0.03], [0.04, 0.05, 0.06]])
+    size = BAND * np.linalg.norm([0.04, 0.05, 0.06])
+    assert f"tip within {1e3 * size:.1f} mm (95 %)" in words(found, 2, "blue")
+    # One of an earlier version has the states alone.
+    (tmp_path / "bands.csv").write_text("time_s\n" + 5 * "0\n")
+    old = shown(tmp_path)
+    assert old.bands is None
+    assert "bands are not shown: track the run again" in old.notes
+
+
+def test_bands_and_truth_are_on_the_page(page, tmp_path):
+    folder = tmp_path / "tracked"
+    folder.mkdir()
+    times, angles = angles_of(9, 0.42)
+    true = tmp_path / "true.csv"
+    giajax.write_run(true, times, angles, definition=POSED)
+    out = tmp_path / "seen.html"
+    given = ["view", str(tracked_folder(folder)), "--truth", str(true), "--page", str(out)]
+    assert main(given) == 0
+    page.open(out.as_uri())
+    page.wait("document.querySelector('[role=slider]') !== null")
+    assert not page.complaints
+    found = [shown(folder), posed(giajax.read_run(true), "truth")]
+    viewer = Viewer(found, overlay=True)
+    try:
+        balls = viewer.stages[0]._handles["bands/ellipsoids"][0]
+        # About the balloon, whose radius is 15 cm.
+        assert_allclose(balls.batched_scales, 0.15 + found[0].bands.halves[0], rtol=1e-6)
+        assert "bands" not in viewer.stages[1].layers()
+        page.open(viewer.address)
+        page.wait("document.body.innerText.includes('bands of 95 % about the ends of links')")
+        page.wait("document.body.innerText.includes('truth')")
+        assert not page.complaints
+    finally:
+        viewer.close()
 
 
 def test_a_file_plays_without_a_server(show, page, tmp_path):

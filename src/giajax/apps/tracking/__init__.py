@@ -22,9 +22,13 @@ from ._live import (
     lines_of as lines_of,
 )
 from ._report import (
+    BAND as BAND,
+    TRACK_FILES as TRACK_FILES,
     TRACK_HEADINGS as TRACK_HEADINGS,
+    TrackFiles as TrackFiles,
     band_columns as band_columns,
     change_sentence as change_sentence,
+    end_columns as end_columns,
     estimate_columns as estimate_columns,
     estimate_definition as estimate_definition,
     heard_facts as heard_facts,

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,7 +18,21 @@ Hidden = Sequence[tuple[str, float, float]]
 """States that the channels hardly show, as of `unseen`."""
 
 _NAMED = 6
-_BAND = 1.96  # deviations: 95 %
+BAND = 1.96
+"""Deviations on either side of a mean, within which it is in 95 of 100 cases."""
+
+
+class TrackFiles(NamedTuple):
+    """Names of the files of a track."""
+
+    facts: str = "track.json"
+    picture: str = "track.png"
+    page: str = "track.html"
+    bands: str = "bands.csv"
+    estimate: str = "estimate.csv"
+
+
+TRACK_FILES = TrackFiles()
 
 
 def track_figure(found: Track, title: str = "") -> Figure:
@@ -62,7 +76,7 @@ def track_figure(found: Track, title: str = "") -> Figure:
 
 
 def _band(axes: Any, times: Any, mean: Any, spread: Any, colour: str, label: str) -> None:
-    low, high = mean - _BAND * spread, mean + _BAND * spread
+    low, high = mean - BAND * spread, mean + BAND * spread
     axes.fill_between(times, low, high, color=colour, alpha=0.2, lw=0)
     axes.plot(times, mean, color=colour, lw=1, label=label)
 
@@ -114,7 +128,18 @@ def band_columns(found: Track) -> dict[str, np.ndarray]:
         for name, (mean, spread, unit, factor) in _quantities(states).items():
             columns[f"{kind}_{name}_{unit}"] = factor * mean
             columns[f"{kind}_{name}_deviation_{unit}"] = factor * spread
+    for link in range(found.arm.joints):
+        for k, axis in enumerate("xyz"):
+            mean, deviation = end_columns(link, axis)
+            columns[mean] = found.smoothed.ends[:, link, k]
+            columns[deviation] = found.smoothed.end_deviations[:, link, k]
     return columns
+
+
+def end_columns(link: int, axis: str) -> tuple[str, str]:
+    """Names of the columns of where a link (from 0) ends, and of its deviation, m."""
+    name = f"smoothed_link{link + 1:02d}_end_{axis}"
+    return f"{name}_m", f"{name}_deviation_m"
 
 
 def _quantities(states: States) -> dict[str, tuple[Any, Any, str, float]]:

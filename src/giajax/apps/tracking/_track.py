@@ -13,10 +13,10 @@ import numpy as np
 from scipy.optimize import root
 
 from ...fitting import FitResult, arm_model_of
-from ...mechanics.arm import Arm, acceleration, tip_position
+from ...mechanics.arm import Arm, acceleration, pose
 from ...models import AbstractModel, ArmModel, camera_of, clock_of
 from ...recordings import Channel, Run
-from ...runtime.arrays import Array, Float
+from ...runtime.arrays import Array, Float, scaled
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import WindSection
@@ -97,13 +97,13 @@ class States:
     Attributes:
         angles: of the joints, rad, shape (time, joint).
         rates: of the joints, rad/s, likewise.
-        tip: m, shape (time, 3).
+        ends: of the links, m, shape (time, link, 3); the last one is the tip.
         wind: mean over the links of the wind that is unknown, m/s, shape (time, 3), or None.
         parameters: uncertain ones by path, SI, considered or estimated.
         biases: SI, shape (time, bias).
         angle_deviations: standard deviations, as the values; so are the next ones.
         rate_deviations: of the rates.
-        tip_deviations: of the tip.
+        end_deviations: of the ends of the links.
         wind_deviations: of the wind.
         parameter_deviations: of the parameters.
         bias_deviations: of the biases.
@@ -113,18 +113,28 @@ class States:
 
     angles: Float[np.ndarray, "time joint"]
     rates: Float[np.ndarray, "time joint"]
-    tip: Float[np.ndarray, "time 3"]
+    ends: Float[np.ndarray, "time link 3"]
     wind: Float[np.ndarray, "time 3"] | None
     parameters: dict[str, np.ndarray]
     biases: Float[np.ndarray, "time bias"]
     angle_deviations: Float[np.ndarray, "time joint"]
     rate_deviations: Float[np.ndarray, "time joint"]
-    tip_deviations: Float[np.ndarray, "time 3"]
+    end_deviations: Float[np.ndarray, "time link 3"]
     wind_deviations: Float[np.ndarray, "time 3"] | None
     parameter_deviations: dict[str, np.ndarray]
     bias_deviations: Float[np.ndarray, "time bias"]
     mean: Float[np.ndarray, "time state"]
     root: Float[np.ndarray, "time state state"]
+
+    @property
+    def tip(self) -> Float[np.ndarray, "time 3"]:
+        """Position of the tip, m."""
+        return self.ends[:, -1]
+
+    @property
+    def tip_deviations(self) -> Float[np.ndarray, "time 3"]:
+        """Standard deviations of the tip, m."""
+        return self.end_deviations[:, -1]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -483,18 +493,25 @@ Outputs = tuple[Array, Array, Array, Array]
 
 
 def _output(tracked: TrackedArm, state: Gaussian) -> Outputs:
-    """Tip and mean wind of a state, and their deviations."""
+    """Ends of the links and mean wind of a state, and their deviations."""
 
     def both(vector: Array) -> tuple[Array, Array]:
         arm = tracked.with_parameters(vector).arm
-        tip = tip_position(arm, vector[: tracked.joints])
+        here = pose(arm, vector[: tracked.joints])
+        ends = (here.joint + scaled(arm.links.length, here.direction)).T.ravel()
         wind = tracked.wind(vector)
-        found = tip if wind is None else jnp.concatenate([tip, jnp.mean(wind, axis=0)])
+        found = ends if wind is None else jnp.concatenate([ends, jnp.mean(wind, axis=0)])
         return found, found
 
     slope, found = jax.jacfwd(both, has_aux=True)(state.mean)
     spread = jnp.sqrt(jnp.sum((slope @ state.root) ** 2, axis=1))
-    return found[:3], spread[:3], found[3:], spread[3:]
+    places, count = (tracked.joints, 3), 3 * tracked.joints
+    return (
+        found[:count].reshape(places),
+        spread[:count].reshape(places),
+        found[count:],
+        spread[count:],
+    )
 
 
 @program
@@ -516,7 +533,7 @@ def as_states(tracked: TrackedArm, states: Gaussian) -> States:
         ]
     else:
         found = _of_each(_outputs, tracked, (states,))
-    tip, tip_deviations, wind, wind_deviations = map(np.asarray, found)
+    link_ends, end_deviations, wind, wind_deviations = map(np.asarray, found)
     mean, root_of = np.asarray(states.mean), np.asarray(states.root)
     deviations = np.sqrt(np.sum(root_of**2, axis=2))
     where, count = tracked.slices(), tracked.joints
@@ -525,13 +542,13 @@ def as_states(tracked: TrackedArm, states: Gaussian) -> States:
     return States(
         angles=mean[:, :count],
         rates=mean[:, count : 2 * count],
-        tip=tip,
+        ends=link_ends,
         wind=wind if blows else None,
         parameters={path: mean[:, index] for path, index in of.items()},
         biases=mean[:, where["biases"]],
         angle_deviations=deviations[:, :count],
         rate_deviations=deviations[:, count : 2 * count],
-        tip_deviations=tip_deviations,
+        end_deviations=end_deviations,
         wind_deviations=wind_deviations if blows else None,
         parameter_deviations={path: deviations[:, index] for path, index in of.items()},
         bias_deviations=deviations[:, where["biases"]],

@@ -16,9 +16,11 @@ from ._page import (
     recording as recording,
 )
 from ._show import (
+    Bands as Bands,
     Posable as Posable,
     Show as Show,
     frames as frames,
+    posed as posed,
     shown as shown,
     span as span,
     words as words,

@@ -4,11 +4,12 @@ import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from ...fitting import load_result, predict
+from ...fitting import arm_model_of, load_result, predict
 from ...mechanics.arm import Arm
 from ...models import (
     AbstractModel,
@@ -18,12 +19,27 @@ from ...models import (
     capabilities,
     model_for,
     recorded_markers,
+    wind_of,
 )
 from ...recordings import Definition, Run, read_run, stored_result
 from ...runtime.arrays import Float
 from ...runtime.text import InputError
 from ...simulation import SimulationError, at_rest
 from ...tasks import fitted_runs
+from ..synthetic import logged_motion
+from ..tracking import BAND, TRACK_FILES, end_columns
+
+
+class Bands(NamedTuple):
+    """Where the ends of the links are in 95 of 100 cases, along each axis.
+
+    Attributes:
+        centres: of the bands, m, shape (sample, link, 3); the last one is the tip's.
+        halves: half widths along x, y and z, m, likewise.
+    """
+
+    centres: Float[np.ndarray, "sample link 3"]
+    halves: Float[np.ndarray, "sample link 3"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,12 +50,14 @@ class Show:
         name: what a legend says.
         recorded: recorded points by the names of the scene's markers, m, shape (sample, 3).
         notes: what is not shown, and why.
+        bands: of its links, where the scene is an estimate.
     """
 
     name: str
     scene: Scene
     recorded: Mapping[str, Float[np.ndarray, "sample 3"]] = dataclasses.field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    bands: Bands | None = None
 
     def __post_init__(self) -> None:
         wrong = [name for name, points in self.recorded.items() if len(points) != self.samples]
@@ -118,8 +136,8 @@ def shown(
     """What there is to see of a file: a motion with recorded markers, or an arm without a motion.
 
     Arguments:
-        path: a recorded or simulated run (`RUN.csv`), the folder of a fit or its `result.json`, or
-            a TOML file that states an arm.
+        path: a recorded or simulated run (`RUN.csv`), the folder of a fit or its `result.json`, the
+            folder of a track, or a TOML file that states an arm.
         data: the runs of a fit, where they lie elsewhere now.
         rename: a run's column name -> the name it has in the column table.
         run: name of the run of a fit; the first one by default.
@@ -129,6 +147,8 @@ def shown(
         InputError: there is no such file or run, or nothing is seen of its model.
     """
     path = Path(path)
+    if (path / TRACK_FILES.facts).exists():
+        return _tracked(path, name or path.name)
     if path.is_dir() or path.suffix == ".json":
         folder, _ = stored_result(path)
         result = load_result(path)
@@ -141,6 +161,56 @@ def shown(
         return Posable(ArmModel.stated_in(definition), name or path.stem)
     chosen = read_run(path, rename=rename)
     return _followed(model_for([chosen]), chosen, name or chosen.name)
+
+
+def posed(run: Run, name: str) -> Show:
+    """An arm along the recorded angles of all its joints, of which nothing is simulated.
+
+    Raises:
+        InputError: it is of no arm, or an angle is not there.
+    """
+    model = arm_model_of(model_for([run]))
+    columns = [f"joint{joint:02d}_angle" for joint in range(1, model.arm.count + 1)]
+    missing = [column for column in columns if column not in run.values]
+    if missing:
+        raise InputError(
+            f"'{run.name}' has no {missing[0]}: give the angles of all {model.arm.count} joints"
+        )
+    times = run.times
+    assert times is not None
+    angles = np.stack([np.asarray(run.values[column]) for column in columns], axis=1)
+    if not np.all(np.isfinite(angles)):
+        row = int(np.argmin(np.all(np.isfinite(angles), axis=1)))
+        raise InputError(f"'{run.name}' lacks an angle at {times[row]:g} s: give all of them")
+    rates = np.gradient(angles, times, axis=0) if len(times) > 1 else np.zeros_like(angles)
+    motion = logged_motion(
+        model.arm, times, angles, rates, np.zeros_like(angles), np.zeros((len(times), 3))
+    )
+    motion = dataclasses.replace(motion, wind=wind_of(model.arm, run))
+    return Show(name, arm_scene(motion, model.sensors.marker))
+
+
+def _tracked(folder: Path, name: str) -> Show:
+    """Where a track has found an arm to be, with bands of 95 %."""
+    show = posed(read_run(folder / TRACK_FILES.estimate), name)
+    path = folder / TRACK_FILES.bands
+    table = np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True, deletechars=""))
+    links = range(sum(line.name == "link" for line in show.scene.lines))
+    columns = [[end_columns(link, axis) for axis in "xyz"] for link in links]
+    known = table.dtype.names or ()
+    if any(column not in known for link in columns for pair in link for column in pair):
+        return dataclasses.replace(show, notes=("bands are not shown: track the run again",))
+    # Shape (kind, link, axis, sample).
+    found = np.array(
+        [[[table[pair[kind]] for pair in link] for link in columns] for kind in (0, 1)]
+    )
+    centres, deviations = np.moveaxis(found, 3, 1)
+    if len(centres) != show.samples:
+        raise InputError(
+            f"{TRACK_FILES.bands} and {TRACK_FILES.estimate} of {folder} have "
+            f"{len(centres)} and {show.samples} rows: track the run again"
+        )
+    return dataclasses.replace(show, bands=Bands(centres, BAND * deviations))
 
 
 def _chosen(runs: list[Run], name: str | None, path: Path) -> Run:
@@ -173,6 +243,10 @@ def _followed(model: AbstractModel, run: Run, name: str) -> Show:
     return Show(name, scene, recorded or {}, unknown if recorded is None else ())
 
 
+def _length(metres: float) -> str:
+    return f"{metres:.2f} m" if metres >= 1 else f"{1e3 * metres:.1f} mm"
+
+
 _FORCES = {"air": "largest drag on a link", "contact": "largest force of a contact"}
 
 
@@ -185,9 +259,11 @@ def words(show: Show, sample: int, colour: str) -> str:
         said.append(f"time {show.clock[sample]:.2f} s")
     if (tip := show.scene.markers.get("tip")) is not None and np.all(np.isfinite(tip[sample])):
         said.append("tip at " + ", ".join(f"{part:.3f}" for part in tip[sample]) + " m")
+    if show.bands is not None:
+        size = float(np.linalg.norm(show.bands.halves[sample, -1]))
+        said.append(f"tip within {_length(size)} (95 %)")
     if (off := show.marker_error(sample)) is not None:
-        length = f"{off:.2f} m" if off >= 1 else f"{1e3 * off:.1f} mm"
-        said.append(f"recorded markers off by {length} (RMS)")
+        said.append(f"recorded markers off by {_length(off)} (RMS)")
     for arrows in show.scene.arrows:
         force = float(np.max(np.linalg.norm(arrows.vectors[sample], axis=-1), initial=0.0))
         if np.any(arrows.vectors):

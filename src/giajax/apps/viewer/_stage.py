@@ -282,6 +282,7 @@ LAYERS = {
     "muscles": "muscles, by pressure",
     "markers": "markers of the model",
     "recorded": "recorded markers",
+    "bands": "bands of 95 % about the ends of links",
     "air": "drag of the air",
     "contact": "contact",
     "surroundings": "surroundings",
@@ -325,6 +326,7 @@ class Stage:
             "muscles": any(not np.any(line.radii > 0) for line in scene.lines),
             "markers": bool(scene.markers),
             "recorded": bool(self.show.recorded),
+            "bands": self.show.bands is not None,
             "surroundings": bool(scene.blocks),
         }
         there |= {arrows.name: bool(np.any(arrows.vectors)) for arrows in scene.arrows}
@@ -349,7 +351,7 @@ class Stage:
         bodies = segments(scene, sample, bodies=True)
         self._tubes("balloons/links", bodies, self._colour, opacity=0.55)
         centres, radii = joints(scene, sample)
-        self._balls("balloons/joints", centres, 0.35 * radii, INK)
+        self._balls("balloons/joints", centres, np.tile(0.35 * radii[:, None], 3), INK)
         threads = segments(scene, sample, bodies=False)
         threads[2][:] = _THREAD * self.scale.extent
         self._tubes("muscles/threads", threads, thread_colours(scene, sample, self.scale.pressure))
@@ -357,6 +359,10 @@ class Stage:
         dark = [int(0.45 * part) for part in self._colour]
         self._points("markers/points", scene.markers, sample, dark)
         self._points("recorded/points", self.show.recorded, sample, RECORDED)
+        if (bands := self.show.bands) is not None:
+            # About the balloon and not about its axis: most bands would be hidden in it.
+            at = bands.centres[sample], bands.halves[sample] + radii[:, None]
+            self._balls("bands/ellipsoids", *at, self._colour, opacity=0.25)
         for arrows in scene.arrows:
             if arrows.name in self._layers:
                 colour = CONTACT if arrows.name == "contact" else AIR
@@ -370,10 +376,13 @@ class Stage:
         placed = (starts + ends) / 2, turns_to(ends - starts), scales
         self._batch(name, tube(), placed, colour, opacity)
 
-    def _balls(self, name: str, centres: np.ndarray, radii: np.ndarray, colour: Any) -> None:
+    def _balls(
+        self, name: str, centres: Any, halves: Any, colour: Any, opacity: float | None = None
+    ) -> None:
+        """Ellipsoids by their half axes along x, y and z, m."""
         if len(centres):
             turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(centres), 1))
-            self._batch(name, ball(), (centres, turns, np.stack([radii] * 3, axis=1)), colour)
+            self._batch(name, ball(), (centres, turns, halves), colour, opacity)
 
     def _points(self, name: str, markers: Any, sample: int, colour: Any) -> None:
         if not markers:
@@ -382,7 +391,8 @@ class Stage:
         there = np.all(np.isfinite(points), axis=1)
         # One that is missing is made so small that it is not seen: batches keep their size.
         radii = np.where(there, _DOT * self.scale.extent, 1e-9)
-        self._balls(name, np.where(there[:, None], points, 0.0), radii, colour)
+        halves = np.tile(radii[:, None], 3)
+        self._balls(name, np.where(there[:, None], points, 0.0), halves, colour)
 
     def _batch(
         self, name: str, mesh: Mesh, placed: Any, colour: Any, opacity: float | None = None
