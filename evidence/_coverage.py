@@ -16,11 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ._experiments import EXPERIMENTS, Experiment, Stated
-from ._study import Figures, Study
+from ._study import PROBABILITY, Figures, Study, shares_differ
 
 LEVEL = 0.95
 # Of a disagreement by chance, for each of the few dozen comparisons.
-PROBABILITY = 1e-4
 
 
 class Case(NamedTuple):
@@ -134,7 +133,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
         after = new[case]
         n, m = before["fits"], after["fits"]
         for key, what in (("converged", "converged"), ("inadequate", "were called inadequate")):
-            if _unlike(before[key], n, after[key], m):
+            if shares_differ(before[key], n, after[key], m):
                 sentences.append(
                     f"{case}: {after[key]} of {m} fits {what}, and {before[key]} of {n} did"
                 )
@@ -144,20 +143,13 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
                 sentences.append(
                     f"{where}: the truth is {now['truth']}, and {old['truth']} is stored"
                 )
-            if _unlike(old["within"], n, now["within"], m):
+            if shares_differ(old["within"], n, now["within"], m):
                 sentences.append(
                     f"{where}: {now['within']} of {m} intervals hold the truth, "
                     f"and {old['within']} of {n} did"
                 )
             sentences += [f"{where}: {sentence}" for sentence in _unlike_pulls(old, now)]
     return sentences
-
-
-def _unlike(a: int, n: int, b: int, m: int) -> bool:
-    """Whether a of n and b of m cannot have one probability (Fisher's exact test)."""
-    from scipy.stats import fisher_exact
-
-    return bool(fisher_exact([[a, n - a], [b, m - b]]).pvalue < PROBABILITY)
 
 
 def _unlike_pulls(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:

@@ -13,10 +13,9 @@ them and takes the best). What is left of the gusts then is noise.
 import math
 
 from ._design_fits import CHANNELS, DRAG, FEWER, NOISE, TRUTH, fits, model_of, suggested
-from ._study import Figures, Study
+from ._study import PROBABILITY, Figures, Study
 
 # Of a disagreement by chance, for each of the comparisons.
-PROBABILITY = 1e-4
 
 
 def run(size: int, seed: int) -> Figures:

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from ._record import ROOT
-from ._study import Figures, Study
+from ._study import Figures, Study, shares_differ
 
 FILES = {"on the level": "naraha.toml", "along the line": "naraha_slant.toml"}
 WINDS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 
 # Of a disagreement by chance, for each of the comparisons.
-PROBABILITY = 1e-4
 
 
 def run(size: int, seed: int, names: tuple[str, ...] = tuple(FILES)) -> Figures:
@@ -54,13 +53,10 @@ def _short(row: dict[str, Any]) -> dict[str, Any]:
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """Shares of success that differ by more than chance lets them (Fisher's exact test)."""
-    from scipy import stats
-
     sentences = []
     for name, after in new.items():
         for one, other in zip(stored[name]["winds"], after["winds"], strict=True):
-            table = [[row["inside"], row["cases"] - row["inside"]] for row in (one, other)]
-            if stats.fisher_exact(table).pvalue < PROBABILITY:
+            if shares_differ(one["inside"], one["cases"], other["inside"], other["cases"]):
                 sentences.append(
                     f"{name}, {one['wind_m_per_s']:g} m/s: {other['inside']} of {other['cases']} "
                     f"inside, and {one['inside']} of {one['cases']} were"

@@ -17,12 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ._draw import correlated_noise, correlation_time
-from ._study import Figures, Study
+from ._study import Figures, Study, shares_differ
 
 STEP_S = 0.1
 LEVEL = 0.95
 # Of a disagreement by chance, for each cell.
-PROBABILITY = 1e-4
 
 
 class Case(NamedTuple):
@@ -186,18 +185,13 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
     The four intervals of a record go together, so that a record counts once.
     """
-    from scipy.stats import fisher_exact
-
     if not stored.keys() >= new.keys():
         return ["the cases are others than those that are stored: run the study again"]
     sentences = []
     for case, after in new.items():
         before = stored[case]
-        table = [
-            [round(each["within"] / 4), each["records"] - round(each["within"] / 4)]
-            for each in (before, after)
-        ]
-        if fisher_exact(table).pvalue < PROBABILITY:
+        shares = [(round(each["within"] / 4), each["records"]) for each in (before, after)]
+        if shares_differ(*shares[0], *shares[1]):
             sentences.append(
                 f"{case}: {_share(after, 'within')} of the intervals hold the truth, "
                 f"and {_share(before, 'within')} did"

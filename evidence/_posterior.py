@@ -14,12 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ._study import Figures, Study
+from ._study import PROBABILITY, Figures, Study, shares_differ
 
 # Draws among which a truth has a rank, and how many ranks are counted together.
 DRAWS, EVERY, BINS = 126, 2, 8
 # Of a disagreement by chance, for each of the comparisons.
-PROBABILITY = 1e-4
 
 
 class Case(NamedTuple):
@@ -162,7 +161,7 @@ def p_value(ranks: list[int]) -> float:
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """What would happen by chance less often than `PROBABILITY`, or is more than 10 % off."""
-    from scipy.stats import chi2_contingency, fisher_exact
+    from scipy.stats import chi2_contingency
 
     sentences = []
     for name, each in new["agreement"].items():
@@ -182,7 +181,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
             if chi2_contingency(table).pvalue < PROBABILITY:
                 sentences.append(f"{name}, {path}: the ranks are {one['ranks']}, not as before")
             a, b = one["posterior"], before["posterior"]
-            if fisher_exact([[a, m - a], [b, n - b]]).pvalue < PROBABILITY:
+            if shares_differ(a, m, b, n):
                 sentences.append(f"{name}, {path}: {a} of {m} intervals hold the truth")
     return sentences
 

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from ._record import ROOT
-from ._study import Figures, Study
+from ._study import Figures, Study, shares_differ
 
 # Of a disagreement by chance, for each of a dozen comparisons.
-PROBABILITY = 1e-4
 
 BASE_STEP = ROOT / "fits" / "base_step.toml"
 DETERMINED = ("joints.pitch_stiffness", "joints.damping", "air.drag_coefficient")
@@ -125,8 +124,6 @@ def _coverage(
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """Shares that cannot have one probability, and an arm whose intervals have moved."""
-    from scipy.stats import fisher_exact
-
     sentences = []
     for case, before in stored.items():
         if case not in new:
@@ -138,8 +135,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
                     sentences.append(f"{where}: the ends differ by {now}, and did by {old}")
                 continue
             for key in ("by_error", "by_profile"):
-                table = [[each[key], each["fits"] - each[key]] for each in (old, now)]
-                if fisher_exact(table).pvalue < PROBABILITY:
+                if shares_differ(old[key], old["fits"], now[key], now["fits"]):
                     sentences.append(
                         f"{where}: {now[key]} of {now['fits']} {key.replace('_', ' ')}, and "
                         f"{old[key]} of {old['fits']} were within"

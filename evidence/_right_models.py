@@ -10,8 +10,8 @@ import numpy as np
 
 from . import _omissions as omissions
 from ._omissions import MEMORY, NOTHING, SINGLE, START, TRUTH, UNCERTAIN, USUAL
-from ._study import Figures, Study
-from ._suspects import PROBABILITY, differing
+from ._study import PROBABILITY, Figures, Study
+from ._suspects import differing
 
 if TYPE_CHECKING:
     from giajax import FitResult, Run

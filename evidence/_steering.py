@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ._record import ROOT
-from ._study import Figures, Study
+from ._study import Figures, Study, shares_differ
 
 FILES = {"on the level": "naraha.toml", "along the line": "naraha_slant.toml"}
 WINDS = (0.2, 0.3)
@@ -24,7 +24,6 @@ DRIVERS: dict[str, tuple[str, dict[str, float]]] = {
 }
 LATENCY = 0.5  # s
 INTERVAL, KNOWN = 0.1, 200.0  # s between decisions, and of a mission with all known
-PROBABILITY = 1e-4  # of a disagreement by chance
 
 
 def run(size: int, seed: int) -> Figures:
@@ -127,15 +126,13 @@ def knowing(mission: Any, seed: int) -> dict[str, Any]:
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """Fewer inside than chance lets there be, of missions by model predictive control."""
-    from scipy import stats
-
     sentences = []
     for name, rows in new.items():
         before = {(row["driver"], row["wind_m_per_s"]): row for row in stored[name]}
         for row in rows:
             then = before[row["driver"], row["wind_m_per_s"]]
-            table = [[each["inside"], each["cases"] - each["inside"]] for each in (then, row)]
-            if stats.fisher_exact(table, alternative="greater").pvalue < PROBABILITY:
+            shares = then["inside"], then["cases"], row["inside"], row["cases"]
+            if shares_differ(*shares, fewer=True):
                 sentences.append(
                     f"{name}, {row['driver']}: {row['inside']} of {row['cases']} are inside, and "
                     f"{then['inside']} of {then['cases']} were"

@@ -32,3 +32,18 @@ class Study:
     disagreements: Callable[[Figures, Figures], list[str]]
     table: Callable[[Figures], list[str]]
     part: Callable[[int, int], Figures] | None = None
+
+
+PROBABILITY = 1e-4
+"""Of a disagreement of two runs by chance, of each comparison."""
+
+
+def shares_differ(a: int, n: int, b: int, m: int, *, fewer: bool = False) -> bool:
+    """Whether a of n and b of m cannot have one probability (Fisher's exact test).
+
+    With `fewer`, only whether b of m are too few.
+    """
+    from scipy.stats import fisher_exact
+
+    side = "greater" if fewer else "two-sided"
+    return bool(fisher_exact([[a, n - a], [b, m - b]], alternative=side).pvalue < PROBABILITY)

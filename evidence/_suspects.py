@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ._record import ROOT
-from ._study import Figures, Study
+from ._study import Figures, Study, shares_differ
 
 if TYPE_CHECKING:
     from giajax import FitResult, Run
@@ -25,7 +25,6 @@ FIRST = 3
 # Trial steps of a fit: with wrong axes, or no motion to find, the way is long, and leads far away.
 MOST = 80
 # Of a disagreement by chance, for each of the comparisons.
-PROBABILITY = 1e-4
 
 START = {
     "air.drag_coefficient": 0.8,
@@ -166,8 +165,6 @@ def differing(stored: Figures, new: Figures, counts: Mapping[str, str]) -> list[
     Of the counts of recordings with these keys, and what to call each. The new figures may be of
     some of the cases.
     """
-    from scipy.stats import fisher_exact
-
     sentences = []
     for name, after in new.items():
         before = stored.get(name)
@@ -177,7 +174,7 @@ def differing(stored: Figures, new: Figures, counts: Mapping[str, str]) -> list[
         n, m = before["recordings"], after["recordings"]
         for key, what in counts.items():
             a, b = before[key], after[key]
-            if fisher_exact([[a, n - a], [b, m - b]]).pvalue < PROBABILITY:
+            if shares_differ(a, n, b, m):
                 sentences.append(f"{name}: {what} {b} of {m} recordings, and {a} of {n} were")
     return sentences
 
