@@ -321,6 +321,24 @@ def test_a_design_halves_the_error_also_of_an_arm_that_it_did_not_know():
 
 
 @pytest.mark.quick
+def test_a_certificate_is_calibrated_and_better_than_knowing_the_air():
+    """Over 1,000 missions, none of which was fitted to itself."""
+    size, figures = figures_of("certificate")
+    assert figures["cases"] == size >= 1000
+    assert figures["spiegelhalter_p"] > 0.05
+    assert figures["hosmer_lemeshow_p"] > 0.05
+    assert 0.2 < figures["inside"] / size < 0.9
+    assert figures["skill"] > 0.2
+    assert figures["skill"] > figures["skill_of_the_true_air"]
+    middling = figures["middling"]
+    assert middling["cases"] > size / 2
+    assert middling["skill"] > 2 * max(middling["skill_of_the_true_air"], 0)
+    assert figures["air_holds"] > 0.9 * size
+    # Hotelling's test is at 0.1 %: more than 6 of 1,000 rests like the others are unlikely.
+    assert figures["unlike"] <= 6
+
+
+@pytest.mark.quick
 def test_the_operator_reaches_the_opening():
     """Both readings of the 14 m: at 0.2 m/s in 90 % at least; and no link is pressed flat."""
     size, figures = figures_of("missions")
