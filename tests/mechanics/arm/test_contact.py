@@ -341,6 +341,28 @@ def test_clearance_is_the_distance_of_the_skin_and_has_its_slope():
         mechanics.clearance(takeichi_20m(2), jnp.zeros(2))
 
 
+def test_clearance_of_a_wall_is_that_of_points_along_the_links():
+    """Links that pass the opening at all angles, against points each 2 mm."""
+    wall = WallWithOpening([2.0, 0.0, 0.3], [1.0, 1.2], [0.5, 0.6, 0.7, 0.8], 0.2, [0.1, 0.3, 0.2])
+    around = dataclasses.replace(takeichi_20m(6), contact=Contact((wall,)))
+    angles = np.random.default_rng(1).uniform(-0.8, 0.8, (40, 6))
+    found = np.asarray(jax.vmap(lambda each: mechanics.clearance(around, each))(angles))
+    boxes = solids((wall,))
+    frame, half = np.moveaxis(np.asarray(boxes.frame), 2, 0), np.asarray(boxes.half).T
+    share = np.linspace(0.0, 1.0, 500)
+    for row, gaps in zip(angles, found, strict=True):
+        here = pose(around, jnp.asarray(row))
+        along = np.asarray(around.links.length)[:, None] * share
+        joint, direction = np.asarray(here.joint).T, np.asarray(here.direction).T
+        points = joint[:, None] + along[:, :, None] * direction[:, None]
+        for k, centre in enumerate(np.asarray(boxes.centre).T):
+            out = np.abs((points - centre) @ frame[k]) - half[k]
+            far = np.linalg.norm(np.maximum(out, 0), axis=2).min(axis=1)
+            apart = far > 1e-3
+            assert_allclose(gaps[apart, k], far[apart] - 0.15, atol=1e-3)
+            assert np.all(gaps[~apart, k] < -0.14)
+
+
 def test_contact_needs_something_to_touch():
     with pytest.raises(InputError, match="without an obstacle: give at least one"):
         Contact(obstacles=())
