@@ -105,9 +105,7 @@ def _course_like(
 
 
 @functools.partial(program, like=_course_like)
-def _course(
-    filling: Filling, share: PerBag, end: Scalar, tolerance: Scalar, times: int
-) -> _Course:
+def _course(filling: Filling, share: PerBag, end: Scalar, tolerance: Scalar, times: int) -> _Course:
     """Fill until every bag has what fills it, or until the end (s); told of at so many times.
 
     The share is what bags have at the beginning. The tolerance of the steps is relative to what
