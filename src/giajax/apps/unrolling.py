@@ -185,7 +185,9 @@ def _course(unrolling: Unrolling, end: Scalar, tolerance: Scalar, times: int) ->
         lift = _net_lift(unrolling, y)
         return jnp.concatenate([lift, jnp.sum(lift)[None]])
 
-    when = crossings(lifted, solution, grid, jax.vmap(solution.evaluate)(grid))
+    when = jnp.full(unrolling.filling.arm.count + 1, jnp.nan, end.dtype)
+    if unrolling.by_gas:
+        when = crossings(lifted, solution, grid, jax.vmap(solution.evaluate)(grid))
     return _Course(
         solution.ts[rows],
         jax.tree.map(lambda each: each[rows], solution.ys),
