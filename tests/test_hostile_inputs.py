@@ -667,10 +667,9 @@ def test_a_command_reads_or_refuses_3000_others(home, tmp_path, compiling, brief
 
 # Those that end with a sentence above, to their end. Without links an arm has twenty, and a design
 # takes minutes.
+_COMPUTING = ("mission", "joint", "design", "fill", "unroll", "wind")
 COMPUTED = [
-    seed
-    for seed in range(5_000, 5_600)
-    if PAIRS[seed % len(PAIRS)][0].split()[0] in ("mission", "joint", "design", "fill", "unroll", "wind")
+    seed for seed in range(5_000, 5_600) if PAIRS[seed % len(PAIRS)][0].split()[0] in _COMPUTING
 ]
 
 

@@ -24,7 +24,7 @@ from giajax.apps.planning import Through, plan_command, plan_figure, plan_rows
 from giajax.apps.shaping import Command, shape_command, shaping_figure
 from giajax.apps.synthetic import DECAY
 from giajax.apps.tracking import Air, Unknown, track_figure, usual_places
-from giajax.apps.unrolling import unrolling_figure
+from giajax.apps.unrolling import unroll, unrolling_figure
 from giajax.apps.wind import first_guess
 from giajax.mechanics.joint import LARGEST_ANGLE, JointPair
 from giajax.mechanics.unrolling import Unrolling
@@ -127,7 +127,7 @@ def _filling() -> None:
 
 def _unrolling() -> None:
     """The arm unrolled by gas, at the flow that fills it in the paper's time."""
-    found = giajax.unroll(Unrolling(order="by gas"))
+    found = unroll(Unrolling(order="by gas"))
     _save("unrolling", to_png(unrolling_figure(found)))
 
 

@@ -18,7 +18,6 @@ from .apps.design import design_experiment as design_experiment
 from .apps.filling import fill as fill
 from .apps.synthetic import gusts as gusts, synthesise as synthesise, with_errors as with_errors
 from .apps.tracking import Tracker as Tracker, track as track
-from .apps.unrolling import unroll as unroll
 from .apps.wind import fit_wind as fit_wind
 from .fitting import (
     FitResult as FitResult,

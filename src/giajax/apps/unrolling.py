@@ -316,7 +316,7 @@ def unroll(unrolling: Unrolling | None = None, *, limit: float = LIMIT) -> Unrol
 
     Example:
         >>> import giajax
-        >>> unrolled = giajax.unroll()
+        >>> unrolled = giajax.apps.unrolling.unroll()
         >>> round(unrolled.handed_over / 60, 2), round(unrolled.duration / 60, 1)
         (3.28, 26.5)
     """

@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import giajax
-from giajax import InputError, fill, replace, takeichi_20m, unroll
-from giajax.apps.unrolling import unrolling_time
+from giajax import InputError, fill, replace, takeichi_20m
+from giajax.apps.unrolling import unroll, unrolling_time
 from giajax.mechanics.inflation import Filling, Gas, Hole, Supply, mass_flow
 from giajax.mechanics.unrolling import Hand, Unrolling
 from giajax.schema import UnrollingSection
