@@ -315,10 +315,11 @@ def _shares(filling: Filling, share: npt.ArrayLike) -> _Numbers:
             f"the share has the shape {given.shape}, but there are {filling.bags} bags: give one "
             "number, or one for each"
         )
-    if not np.all((given >= 0) & (given < np.inf)):
-        wrong = given[~((given >= 0) & (given < np.inf))][0]
-        raise InputError(f"a share is {wrong:g}: give zero or a positive number")
-    return np.broadcast_to(given, filling.bags)
+    # The integrator leaves traces below 0 in bags that nothing has reached.
+    wrong = given[~((given >= -_TOLERANCE) & (given < np.inf))]
+    if wrong.size:
+        raise InputError(f"a share is {wrong[0]:g}: give zero or a positive number")
+    return np.broadcast_to(np.maximum(given, 0), filling.bags)
 
 
 def _tried(

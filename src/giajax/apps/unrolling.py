@@ -204,7 +204,7 @@ def _tried(unrolling: Unrolling, limit: Any) -> _Course:
     real = jnp.result_type(float)
     tolerance = 1e-10 if unrolling.by_gas else 1e-12
     if real == jnp.float32:
-        tolerance = 1e-5
+        tolerance = 1e-4
     return _course(unrolling, jnp.asarray(limit, real), jnp.asarray(tolerance, real), _ROWS)
 
 

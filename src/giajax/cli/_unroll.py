@@ -131,7 +131,7 @@ def _show(unrolled: "Unrolled") -> None:
     if not unrolled.finished:
         why = "the supply is too weak, or has too little"
         if not unrolled.unrolling.by_gas:
-            why = "the hand is too weak"
+            why = "the hand is too weak, or too slow"
         at = f"{unrolled.times[-1] / 60:.0f} min, at {unrolled.paid_out[-1]:.2f} m"
         typer.echo(f"\nnot unrolled after {at}: {why}")
         return

@@ -34,6 +34,6 @@ LINKS = 1_000  # links of an arm, and so numbers of joints and links
 ELEMENTS = 1_000  # elements of a hysteresis operator, rows of its mesh, turning points before a run
 POSES = 500_000  # poses of an arm that a table drives
 STEPS = 1_000  # steps of the integrator for each pose of a drive
-FILLING_S = 1_000_000  # length of the unrolling, or the filling, of an arm
+FILLING_S = 1_000_000  # length of the filling of an arm
 ANGLE_DEG = 180.0  # size of a commanded angle of a designed experiment
 STARTS = 10_000  # starts of a fit

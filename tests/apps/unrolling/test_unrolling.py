@@ -84,10 +84,14 @@ def test_a_carpet_at_half_of_its_radius_has_the_speed_of_the_textbook():
 
 
 def test_the_momentum_of_a_carpet_is_not_kept():
-    """What is laid down is at rest, and the floor has taken the momentum that it had."""
+    """What is laid down is at rest, and the floor has taken the momentum that it had.
+
+    Nor does the roll keep its speed, as a body does that sheds mass.
+    """
     found = carpet(carried=True)
     momentum = (MASS * (1 - found.paid_out / LENGTH) + 0.1) * found.speed
     assert momentum[-1] < 0.3 * momentum[0]
+    assert found.speed[-1] > 2.8 * found.speed[0]
 
 
 # By gas.
@@ -110,7 +114,7 @@ def test_gas_is_conserved_from_the_supply_to_the_links():
     found = by_gas()
     assert found.imbalance < 1e-10
     fed = DENSITY * 1e-3 * found.times
-    np.testing.assert_allclose(found.gas, fed, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.gas, fed, rtol=1e-10, atol=1e-15)
     # By the law of gas: what is open, filled to where it is tight, at the room's pressure and more.
     held = DENSITY * (1 + found.pressure / ROOM) * AREA * found.paid_out
     moving = found.times > 60
@@ -250,6 +254,7 @@ def test_an_arm_that_is_tight_at_the_hand_over_is_full_at_once():
     assert found.pressure[-1] > 50
     assert found.filled.finished
     assert found.filled.duration == 0
+    assert found.filled.times[-1] < 1
     assert found.duration == found.handed_over
 
 
