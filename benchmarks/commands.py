@@ -78,6 +78,7 @@ COMMANDS = {
     "report": Command("report {fit} --page {out}/report.html --force"),
     "joint": Command("joint --out {out} --force"),
     "fill": Command("fill --out {out} --force"),
+    "unroll": Command("unroll --by-gas --out {out} --force"),
     "mission": Command("mission missions/naraha.toml --out {out} --force", 10.0),
     "wind": Command(
         "wind --data {made}/resting.csv --wind 0,0.3,0.075 --highest 0.5 --out {out} --force",

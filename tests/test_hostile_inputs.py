@@ -66,6 +66,7 @@ PAD = (
     'presets = [{name = "up", joints = [1], angles_deg = [20.0], others_deg = 0.0}]\n'
 )
 ARM = "[arm]\npreset = 'takeichi_20m'\nlinks = 2\n[initial]\nangle_deg = 5.0\n"
+ROLL = '[arm]\nlinks = 2\n[unrolling]\norder = "by gas"\nroll_radius_mm = 80.0\n'
 ROBOT = (
     "<mujoco><worldbody><body name='a'><joint type='hinge' axis='0 1 0'/>"
     "<geom type='capsule' fromto='0 0 0 1 0 0' size='0.1' mass='0.1'/></body></worldbody></mujoco>"
@@ -138,6 +139,7 @@ COMMANDS = {
     "mjcf robot.xml --to r.toml --force": ["robot.xml"],
     "simulate --arm arm.toml --duration 0.2 --to s.csv --force": ["arm.toml"],
     "fill filling.toml --no-curve --json": ["filling.toml"],
+    "unroll roll.toml --json": ["roll.toml"],
     "mission mission.toml --json": ["mission.toml"],
     "wind --data resting.csv --wind 0,0.5,0.2": ["resting.csv", "resting.toml"],
     "joint joint.toml --out j --force": ["joint.toml"],
@@ -169,6 +171,7 @@ LONG = (
     ("giajax.apps.joint", "joint_files"),
     ("giajax.apps.design", "design_experiment"),
     ("giajax.apps.filling", "fill"),
+    ("giajax.apps.unrolling", "unroll"),
     ("giajax.apps.wind", "fit_wind"),
     ("giajax.apps.experiments", "one_link"),
     ("giajax.studies", "posterior"),
@@ -193,7 +196,7 @@ def home(tmp_path_factory):
     shutil.copy(ROOT / "missions" / "naraha.toml", home / "mission.toml")
     texts = {
         "film.csv": FILM, "tracks.csv": TRACKS, "pad.toml": PAD, "arm.toml": ARM,
-        "robot.xml": ROBOT, "joint.toml": "[joint]\ntorque_N_m = 0.3\n",
+        "roll.toml": ROLL, "robot.xml": ROBOT, "joint.toml": "[joint]\ntorque_N_m = 0.3\n",
         "log.csv": "time_s,joint01_command_deg\n0,0\n0.05,10\n",
         "pad.csv": "time_s,axis0,axis1,button0\n0,1,0.5,0\n0.1,0,0,1\n0.2,0.5,0,0\n",
         "target.csv": "time_s,output\n0,0\n1,0.1\n2,0\n",
@@ -664,10 +667,9 @@ def test_a_command_reads_or_refuses_3000_others(home, tmp_path, compiling, brief
 
 # Those that end with a sentence above, to their end. Without links an arm has twenty, and a design
 # takes minutes.
+_COMPUTING = ("mission", "joint", "design", "fill", "unroll", "wind")
 COMPUTED = [
-    seed
-    for seed in range(5_000, 5_600)
-    if PAIRS[seed % len(PAIRS)][0].split()[0] in ("mission", "joint", "design", "fill", "wind")
+    seed for seed in range(5_000, 5_600) if PAIRS[seed % len(PAIRS)][0].split()[0] in _COMPUTING
 ]
 
 

@@ -24,8 +24,10 @@ from giajax.apps.planning import Through, plan_command, plan_figure, plan_rows
 from giajax.apps.shaping import Command, shape_command, shaping_figure
 from giajax.apps.synthetic import DECAY
 from giajax.apps.tracking import Air, Unknown, track_figure, usual_places
+from giajax.apps.unrolling import unroll, unrolling_figure
 from giajax.apps.wind import first_guess
 from giajax.mechanics.joint import LARGEST_ANGLE, JointPair
+from giajax.mechanics.unrolling import Unrolling
 from giajax.report import (
     correlation_figure,
     draw_scene,
@@ -123,6 +125,12 @@ def _filling() -> None:
     _save("filling_curve", to_png(curve_figure(filling_curve())))
 
 
+def _unrolling() -> None:
+    """The arm unrolled by gas, at the flow that fills it in the paper's time."""
+    found = unroll(Unrolling(order="by gas"))
+    _save("unrolling", to_png(unrolling_figure(found)))
+
+
 def _mission() -> None:
     """The mock-up, once."""
     definition = giajax.Definition.load(ROOT / "missions" / "naraha.toml")
@@ -181,6 +189,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     "sensitivity.png": _sensitivity,
     "fig12.png": _hysteresis,
     "filling.png filling_curve.png": _filling,
+    "unrolling.png": _unrolling,
     "mission.png": _mission,
     "shaping.png": _shaping,
     "moves.png": _moves,

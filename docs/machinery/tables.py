@@ -19,7 +19,7 @@ import giajax
 from giajax.cli._app import old_forms
 from giajax.cli._commands import OLD_FORMS_END
 from giajax.mechanics.joint import EmpiricalMuscle, Friction, Joint, Piston
-from giajax.schema import KINDS, FillingSection
+from giajax.schema import KINDS, FillingSection, Section, UnrollingSection
 
 DOCS = Path(__file__).resolve().parents[1]
 SOURCE = DOCS.parent / "src" / "giajax"
@@ -46,11 +46,19 @@ def _assumed_filling() -> Iterator[str]:
             yield row
 
 
-def _filling_keys() -> Iterator[str]:
-    """A row for each key of a filling."""
+def _assumed_unrolling() -> Iterator[str]:
+    """The same of an unrolling, without what is assumed of its filling."""
+    filling = giajax.declared(giajax.mechanics.inflation.Filling())
+    for row in _assumed(giajax.mechanics.unrolling.Unrolling()):
+        if not any(row.startswith(f"| `{path}` ") for path in filling):
+            yield row
+
+
+def _keys_of(section: type[Section]) -> Iterator[str]:
+    """A row for each key of a section."""
     yield "| key | must be | unless stated | meaning |"
     yield "| --- | --- | --- | --- |"
-    for key, field in FillingSection.model_fields.items():
+    for key, field in section.model_fields.items():
         extra = field.json_schema_extra
         assert isinstance(extra, dict)
         preset = "" if extra["preset"] is None else f"`{json.dumps(extra['preset'])}`"
@@ -114,7 +122,9 @@ TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "assumed empirical muscle": lambda: _assumed(giajax.MuscleModel(EmpiricalMuscle())),
     "assumed piston": lambda: _assumed(giajax.MuscleModel(Piston())),
     "assumed filling": _assumed_filling,
-    "filling keys": _filling_keys,
+    "filling keys": functools.partial(_keys_of, FillingSection),
+    "assumed unrolling": _assumed_unrolling,
+    "unrolling keys": functools.partial(_keys_of, UnrollingSection),
     "channels": _channels,
     "keys": _keys,
     "old forms": _old_forms,

@@ -41,6 +41,7 @@ def folder(tmp_path_factory):
         ("influence fit --data run.csv --spans 2 --no-figures --out parts", "parts/influence.json"),
         ("compensate loops --target target.csv --to commands.csv", "commands.csv"),
         ("fill --no-curve --out filled", "filled/filling.json"),
+        ("unroll --out unrolled", "unrolled/unrolling.json"),
     ],
 )
 def test_a_quiet_command_prints_nothing_and_writes(folder, monkeypatch, capsys, words, written):
@@ -60,6 +61,7 @@ def test_a_quiet_command_prints_nothing_and_writes(folder, monkeypatch, capsys, 
         "suspects fit",
         "wind --data run.csv",
         "fill",
+        "unroll",
         "mission mission.toml",
         "examples",
     ],

@@ -21,6 +21,7 @@ from giajax.schema import (
     Group,
     Key,
     Section,
+    UnrollingSection,
     key_factor,
     with_keys,
 )
@@ -35,7 +36,7 @@ STATED = [
 ]
 KEYED = [
     (section, name, part)
-    for stated in (*STATED, FillingSection)
+    for stated in (*STATED, FillingSection, UnrollingSection)
     for section in (stated.entries or stated,)
     for name, parts in section.quantities.items()
     for part in parts

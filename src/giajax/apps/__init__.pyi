@@ -12,6 +12,7 @@ from . import (
     shaping as shaping,
     synthetic as synthetic,
     tracking as tracking,
+    unrolling as unrolling,
     viewer as viewer,
     wind as wind,
 )

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import diffrax
@@ -17,7 +17,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..mechanics.arm import STANDARD_GRAVITY, bodies
+from ..mechanics.arm import STANDARD_GRAVITY
 from ..mechanics.inflation import (
     STRENGTHS,
     BagState,
@@ -90,33 +90,37 @@ def _net_lift_of_links(filling: Filling, share: PerBag) -> Float[Array, " link"]
     """Mass that each link could still carry, kg: air displaced, less gas and all that it bears."""
     arm, here = filling.arm, filling.bag_of_link
     fullness = _bags_at(filling, share).fullness[here]
-    borne = bodies(arm).mass
-    if arm.buoyancy is not None:
-        # Its gas is that which is being filled in.
-        borne = borne - arm.buoyancy.helium_density * arm.links.volume
     lift = arm.air.density * fullness - filling.gas.density * share[here]
-    return lift * arm.links.volume - borne
+    return lift * arm.links.volume - filling.borne_mass
 
 
-def _course_like(filling: Filling, end: Scalar, tolerance: Scalar, times: int) -> _Course:
+def _course_like(
+    filling: Filling, share: PerBag, end: Scalar, tolerance: Scalar, times: int
+) -> _Course:
     """A course as of `_course`, without filling."""
-    del tolerance
+    del share, tolerance
     bags, links, yes = filling.volume, filling.arm.links.volume, jnp.zeros((), bool)
     grid, shares = jnp.zeros(times, end.dtype), jnp.zeros((times, *bags.shape), end.dtype)
     return _Course(grid, shares, grid, bags, links, end, yes, yes, jnp.zeros((), int))
 
 
 @functools.partial(program, like=_course_like)
-def _course(filling: Filling, end: Scalar, tolerance: Scalar, times: int) -> _Course:
+def _course(filling: Filling, share: PerBag, end: Scalar, tolerance: Scalar, times: int) -> _Course:
     """Fill until every bag has what fills it, or until the end (s); told of at so many times.
 
-    The tolerance of the steps is relative to what fills a bag.
+    The share is what bags have at the beginning. The tolerance of the steps is relative to what
+    fills a bag.
     """
     exact = 100 * float(jnp.finfo(end.dtype).eps)
 
     def missing(t: Scalar, y: State, args: Filling, **_: object) -> Scalar:
         return jnp.min(y.share) - 1
 
+    # What is full at the beginning has no time at which it becomes so.
+    was_full = jnp.min(share) >= 1
+    end = jnp.where(was_full, 1e-6 * end, end)
+    full_mass = filling.full_mass
+    supplied = jnp.sum(share * full_mass) / jnp.sum(full_mass)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(rates),
         # The pressures of bags that are tight settle within a second, the whole takes minutes.
@@ -124,7 +128,7 @@ def _course(filling: Filling, end: Scalar, tolerance: Scalar, times: int) -> _Co
         t0=jnp.zeros_like(end),
         t1=end,
         dt0=end * 1e-5,
-        y0=State(jnp.zeros_like(filling.volume), jnp.zeros_like(end)),
+        y0=State(share, supplied),
         args=filling,
         stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         saveat=diffrax.SaveAt(dense=True, t1=True),
@@ -134,10 +138,16 @@ def _course(filling: Filling, end: Scalar, tolerance: Scalar, times: int) -> _Co
     )
     assert solution.ts is not None
     last = solution.ts[-1]
-    finished = diffrax.is_event(solution.result)
+    finished = diffrax.is_event(solution.result) | was_full
     grid = jnp.linspace(0, last, times, dtype=last.dtype)
     known = jax.vmap(solution.evaluate)(grid)
-    full, lifts, lifts_all = _crossings(filling, solution, grid, known)
+
+    def reached(y: State) -> Array:
+        lift = _net_lift_of_links(filling, y.share)
+        return jnp.concatenate([y.share - 1, lift, jnp.sum(lift)[None]])
+
+    when, bags = crossings(reached, solution, grid, known), filling.bags
+    full, lifts, lifts_all = when[:bags], when[bags:-1], when[-1]
     return _Course(
         grid,
         known.share,
@@ -152,30 +162,31 @@ def _course(filling: Filling, end: Scalar, tolerance: Scalar, times: int) -> _Co
     )
 
 
-def _crossings(
-    filling: Filling, solution: diffrax.Solution, grid: Array, known: State
-) -> tuple[Array, Array, Array]:
-    """When bags are full, links are borne, and the arm is: by bisection of the solution."""
+def crossings(
+    of: Callable[[Any], Array], solution: diffrax.Solution, grid: Array, known: Any
+) -> Array:
+    """When each number of a state is first 0 or more, s: by bisection of the solution.
 
-    def all_of(share: PerBag) -> Array:
-        lift = _net_lift_of_links(filling, share)
-        return jnp.concatenate([share - 1, lift, jnp.sum(lift)[None]])
+    It is the first time of the grid where it is so there, and NaN where it never is.
 
-    above = jax.vmap(all_of)(known.share) >= 0
+    Arguments:
+        of: the numbers of a state.
+        grid: times, s.
+        known: the states at these.
+    """
+    above = jax.vmap(of)(known) >= 0
     first = jnp.argmax(above, axis=0)
     low, high = grid[jnp.maximum(first - 1, 0)], grid[first]
 
     def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = ends
         middle = (low + high) / 2
-        here = jax.vmap(lambda t: all_of(solution.evaluate(t).share))(middle)
+        here = jax.vmap(lambda t: of(solution.evaluate(t)))(middle)
         reached = jnp.diagonal(here) >= 0
         return jnp.where(reached, low, middle), jnp.where(reached, middle, high)
 
     _, high = jax.lax.fori_loop(0, 50, halve, (low, high))
-    times = jnp.where(above.any(axis=0), high, jnp.nan)
-    bags = filling.bags
-    return times[:bags], times[bags:-1], times[-1]
+    return jnp.where(above.any(axis=0), high, jnp.nan)
 
 
 _Numbers = npt.NDArray[np.float64]
@@ -237,12 +248,19 @@ class Filled:
         return float(off) / float(np.sum(np.asarray(self.filling.full_mass)))
 
 
-def fill(filling: Filling | None = None, *, limit: float = LIMIT) -> Filled:
+def fill(
+    filling: Filling | None = None,
+    *,
+    limit: float = LIMIT,
+    share: npt.ArrayLike = 0.0,
+) -> Filled:
     """Fill an arm of balloons with helium, until every link is full (fig. 15).
 
     Arguments:
         filling: arm, gas, ports and supply; those of the paper by default.
         limit: when to give up, s.
+        share: gas that is in the bags at the beginning, over what fills them: one number, or one
+            for each bag. It counts as supplied.
 
     Raises:
         InputError: a number that is out of its bounds, or steps that do not come to an end.
@@ -256,8 +274,8 @@ def fill(filling: Filling | None = None, *, limit: float = LIMIT) -> Filled:
     made = Filling() if filling is None else filling
     if not 0 < limit < np.inf:
         raise InputError(f"the limit is {limit:g} s: give a positive number of seconds")
-    _check_filling(made)
-    found = _tried(made, limit, _TOLERANCE)
+    check_filling(made)
+    found = _tried(made, limit, _TOLERANCE, _shares(made, share))
     if not bool(found.succeeded):
         raise InputError(
             f"the filling cannot be followed beyond {float(found.times[-1]):.3g} s, after "
@@ -289,16 +307,39 @@ def fill(filling: Filling | None = None, *, limit: float = LIMIT) -> Filled:
     )
 
 
-def _tried(filling: Filling, limit: float, tolerance: float) -> _Course:
+def _shares(filling: Filling, share: npt.ArrayLike) -> _Numbers:
+    """The share of each bag at the beginning, from one number or one for each."""
+    given = np.asarray(share, dtype=float)
+    if given.shape not in ((), (filling.bags,)):
+        raise InputError(
+            f"the share has the shape {given.shape}, but there are {filling.bags} bags: give one "
+            "number, or one for each"
+        )
+    # The integrator leaves traces below 0 in bags that nothing has reached.
+    wrong = given[~((given >= -_TOLERANCE) & (given < np.inf))]
+    if wrong.size:
+        raise InputError(f"a share is {wrong[0]:g}: give zero or a positive number")
+    return np.broadcast_to(np.maximum(given, 0), filling.bags)
+
+
+def _tried(
+    filling: Filling, limit: float, tolerance: float, share: npt.ArrayLike | None = None
+) -> _Course:
     """The gas over time, as far as its steps came."""
     if jnp.result_type(float) == jnp.float32:
         tolerance = max(tolerance, 1e-4)
-    end, close = (jnp.asarray(number, jnp.result_type(float)) for number in (limit, tolerance))
-    return _course(filling, end, close, _TIMES)
+    empty = np.zeros(filling.bags) if share is None else share
+    real = jnp.result_type(float)
+    begin, end, close = (jnp.asarray(number, real) for number in (empty, limit, tolerance))
+    return _course(filling, begin, end, close, _TIMES)
 
 
-def _check_filling(filling: Filling) -> None:
-    """Refuse numbers that are out of bounds."""
+def check_filling(filling: Filling) -> None:
+    """Refuse numbers that are out of bounds.
+
+    Raises:
+        InputError: naming the parameter.
+    """
     own = {declaration.path for group in (GAS, SKIN, PORTS, SUPPLY) for declaration in group}
     for path, parameter in declared(filling).items():
         if path in own or path.startswith("links.") or path == "air.density":
@@ -382,7 +423,7 @@ def filling_curve(
     def one(diameter: float, guess: float) -> tuple[float, tuple[float, ...]]:
         """The next guess, and the pair with its flow and pressure."""
         narrowed = replace(made, {PORTS.diameter.path: float(diameter)})
-        _check_filling(narrowed)
+        check_filling(narrowed)
         strength = _strength(narrowed, path, duration, guess)
         if strength is None:
             return guess, (diameter, np.nan, np.nan, np.nan)

@@ -1,4 +1,4 @@
-"""Physics of one configuration: chain, joints, muscles, hysteresis, obstacles, helium."""
+"""Physics of one configuration: chain, joints, muscles, hysteresis, obstacles, helium, the roll."""
 
 import lazy_loader
 

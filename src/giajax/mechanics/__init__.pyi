@@ -4,4 +4,5 @@ from . import (
     inflation as inflation,
     joint as joint,
     obstacles as obstacles,
+    unrolling as unrolling,
 )

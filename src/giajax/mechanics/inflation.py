@@ -13,7 +13,7 @@ from ..runtime.arrays import Array, Float, Scalar, larger, limited
 from ..runtime.text import InputError
 from ..schema import GAS, PORTS, SKIN, SUPPLY, FillingSection
 from ..schema.parameters import declared, inline, parameter, replace
-from .arm import Arm, takeichi_20m
+from .arm import Arm, bodies, takeichi_20m
 
 
 class Gas(eqx.Module):
@@ -295,6 +295,15 @@ class Filling(eqx.Module):
     def full_mass(self) -> PerBag:
         """Gas that fills each bag at the pressure of the room, kg."""
         return self.gas.density * self.volume
+
+    @property
+    def borne_mass(self) -> Float[Array, " link"]:
+        """What the lift of each link's gas must bear, kg: the link and all that hangs on it."""
+        borne = bodies(self.arm).mass
+        if self.arm.buoyancy is not None:
+            # Its gas is that which is being filled in.
+            borne = borne - self.arm.buoyancy.helium_density * self.arm.links.volume
+        return borne
 
     @property
     def stretch(self) -> PerBag:

@@ -31,6 +31,7 @@ from ..schema import (
     Name,
     Prior,
     Section,
+    UnrollingSection,
     cached_by_kinds,
     key,
 )
@@ -308,6 +309,7 @@ class Definition(_Sections):
     )
     fit: FitSettings = Field(default_factory=FitSettings)
     filling: FillingSection = Field(default_factory=FillingSection)
+    unrolling: UnrollingSection = Field(default_factory=UnrollingSection)
     mission: MissionSection | None = key("a table of keys", "what an operator is to reach")
     figures: dict[Name, Figure] = key(
         'a table like [figures."air.drag_coefficient"]', "figures to reach", default={}

@@ -274,8 +274,8 @@ def read_sidecar(path: str | Path) -> Definition:
     """The sidecar of the run at `path`; an empty definition if there is none.
 
     Raises:
-        InputError: it is not legal, or holds `[fit]`, `[figures]` or `[filling]`, which a fit of
-            the run would silently ignore.
+        InputError: it is not legal, or holds `[fit]`, `[figures]`, `[filling]` or `[unrolling]`,
+            which a fit of the run would silently ignore.
     """
     sidecar = sidecar_path(path)
     check_path(sidecar)
@@ -287,7 +287,7 @@ def read_sidecar(path: str | Path) -> Definition:
             f"{path}: mend or remove the link"
         )
     definition = Definition.load(sidecar)
-    for section in ("fit", "figures", "filling"):
+    for section in ("fit", "figures", "filling", "unrolling"):
         if section in definition.model_fields_set:
             raise InputError(
                 f"{sidecar} is the sidecar of {path}, where [{section}] must not be: move it to "

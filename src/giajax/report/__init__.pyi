@@ -57,6 +57,7 @@ from ._style import (
     INK as INK,
     LIGHT as LIGHT,
     MINUS as MINUS,
+    PURPLE as PURPLE,
     VERMILLION as VERMILLION,
     columns_of as columns_of,
     draw_blocks as draw_blocks,

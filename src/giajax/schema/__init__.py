@@ -24,6 +24,7 @@ from ._arm_sections import (
     PinholeSection as PinholeSection,
     PointMass as PointMass,
     SensorsSection as SensorsSection,
+    UnrollingSection as UnrollingSection,
     WindSection as WindSection,
     sections_of_cameras as sections_of_cameras,
 )
@@ -97,7 +98,9 @@ from ._quantities_arm import (
     CAMERA as CAMERA,
     CONTACT as CONTACT,
     ENCODER as ENCODER,
+    FILM as FILM,
     GAS as GAS,
+    HAND as HAND,
     INITIAL as INITIAL,
     JOINT_MEMORY as JOINT_MEMORY,
     JOINT_STOPS as JOINT_STOPS,
@@ -109,6 +112,7 @@ from ._quantities_arm import (
     PINHOLE as PINHOLE,
     POINT_MASSES as POINT_MASSES,
     PORTS as PORTS,
+    ROLL as ROLL,
     SKIN as SKIN,
     SUPPLY as SUPPLY,
 )

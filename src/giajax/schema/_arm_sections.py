@@ -32,7 +32,9 @@ from ._quantities_arm import (
     CAMERA,
     CONTACT,
     ENCODER,
+    FILM,
     GAS,
+    HAND,
     INITIAL,
     JOINT_MEMORY,
     JOINT_STOPS,
@@ -43,6 +45,7 @@ from ._quantities_arm import (
     PINHOLE,
     POINT_MASSES,
     PORTS,
+    ROLL,
     SKIN,
     SUPPLY,
 )
@@ -304,6 +307,25 @@ class FillingSection(Section):
         "a list of lists of link numbers",
         "neighbouring links that are not welded apart, and share their gas",
         example=[[1, 2], [3, 4]],
+    )
+
+
+@with_keys(ROLL, FILM, HAND)
+class UnrollingSection(Section):
+    """`[unrolling]`: the roll, its film and what drives it. `giajax unroll` reads it."""
+
+    order: Literal["roll first", "by gas"] | None = key(
+        '"roll first" or "by gas"',
+        "a hand rolls the arm out, and gas is injected then; or gas rolls it out",
+        preset="roll first",
+    )
+    hand: Literal["speed", "force"] | None = key(
+        '"speed" or "force"', "what of a hand is held while it rolls the arm out", preset="speed"
+    )
+    carried: bool | None = key(
+        "true or false",
+        "the roll is carried, and does not lie on a floor: its weight does not drive it",
+        preset=False,
     )
 
 

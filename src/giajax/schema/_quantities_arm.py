@@ -534,7 +534,48 @@ class _Supply(Group):
     )
 
 
+class _Roll(Group):
+    radius = guess(0.1, "m", "radius of the roll with the whole arm on it").keyed("roll_radius_mm")
+    core_radius = guess(0.05, "m", "radius of the core that the arm is wound on").keyed(
+        "core_radius_mm"
+    )
+    core_mass = guess(0.1, "kg", "mass of the core, a thin tube").keyed("core_mass_kg")
+    start = guess(0.1, "m", "length that is paid out at the beginning").keyed("start_length_m")
+    start_speed = positive(0.0, "m/s", "speed of the roll at the beginning", assumed=True).keyed(
+        "start_speed_m_per_s", closed=True
+    )
+
+
+class _Film(Group):
+    thickness = guess(50e-6, "m", "thickness of the skin's film").keyed("film_thickness_mm")
+    creep = Declaration(
+        1.0,
+        "",
+        "share of its curvature in the roll that the film keeps as its own: 0 is elastic film, "
+        "which drives the roll, 1 is film that has crept, which must be bent straight",
+        lower=0,
+        upper=1,
+        assumed=True,
+    ).keyed("film_creep", closed=True)
+    peel = guess(0.3, "N", "force at which the layers of the roll come apart").keyed(
+        "peel_force_N", closed=True
+    )
+    loss = guess(10.0, "N s/m", "force that holds the roll back, over its speed").keyed(
+        "front_loss_N_s_per_m", closed=True
+    )
+
+
+class _Hand(Group):
+    speed = guess(0.1, "m/s", "speed at which a hand rolls the arm out").keyed("hand_speed_m_per_s")
+    force = guess(1.0, "N", "force with which a hand pushes the roll").keyed(
+        "hand_force_N", closed=True
+    )
+
+
 GAS = _Gas("gas")
 SKIN = _Skin("skin")
 PORTS = _Ports("ports")
 SUPPLY = _Supply("supply")
+ROLL = _Roll("roll")
+FILM = _Film("film")
+HAND = _Hand("hand")

@@ -182,6 +182,22 @@ def test_every_pair_of_the_curve_fills_in_its_time(kind):
         assert fill(replace(small(kind), pair)).duration == pytest.approx(300, rel=3e-6)
 
 
+@pytest.mark.parametrize("kind", ["flow", "bottle"])
+def test_a_filling_goes_on_from_where_another_one_was(kind):
+    """From the gas of a row in the middle: the rest of its time, and its gas at the end."""
+    values = {"supply__nozzle_diameter": 2e-4} if kind == "bottle" else {}
+    whole = filled(kind, **values)
+    row = 200
+    rest = fill(small(kind, **values), share=whole.gas[row] / (DENSITY * LINK))
+    assert rest.times[0] == 0
+    np.testing.assert_allclose(rest.gas[0], whole.gas[row], rtol=1e-12)
+    assert rest.supplied[0] == pytest.approx(whole.supplied[row], rel=1e-9)
+    assert rest.duration == pytest.approx(whole.duration - whole.times[row], rel=1e-5)
+    np.testing.assert_allclose(rest.gas[-1], whole.gas[-1], rtol=1e-6)
+    assert rest.full[0] == 0
+    assert rest.imbalance < 1e-10
+
+
 def test_no_nozzle_fills_what_a_supply_has_too_little_for():
     made = small("bottle", supply__bottle_pressure=10e5)
     curve = filling_curve(made, duration=300, diameters=(0.01,))

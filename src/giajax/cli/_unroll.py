@@ -1,0 +1,143 @@
+"""`giajax unroll`: a rolled arm that is paid out by a hand or by gas, and filled then."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..runtime.process import configure
+from ._commands import (
+    Force,
+    Json,
+    Quiet,
+    Texts,
+    argument,
+    check_quiet,
+    command,
+    print_table,
+    say_written,
+    write_folder,
+)
+from ._values import settings, with_settings
+
+if TYPE_CHECKING:
+    from ..apps.unrolling import Unrolled
+
+
+@command(
+    """\b
+Examples:
+  giajax unroll             by hand, and filled then, as in the paper
+  giajax unroll --by-gas --out unrolled
+                            by gas, with files and pictures
+  giajax unroll roll.toml --set film.peel=0.5 --json
+                            your roll, whose layers stick more, as JSON
+
+\b
+It writes
+  unrolling.json          when the arm is paid out, full, and lifts itself
+  unrolling.csv           length, speed, forces and energies over time
+  unrolling.png           the same as a picture
+  filling.*               the files of giajax fill, from when it begins
+
+A definition is a TOML file with an [arm], a [filling] and an
+[unrolling], such as
+
+\b
+  [unrolling]
+  order = "by gas"           # or "roll first"
+  roll_radius_mm = 90.0
+  peel_force_N = 0.2""",
+    group="arm",
+)
+def unroll(
+    definition: Annotated[
+        Path | None, argument("DEFINITION", "Its [arm], [filling] and [unrolling].")
+    ] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "A parameter, SI.", "--set"] = None,
+    by_gas: Annotated[bool, "Gas unrolls the arm, and no hand."] = False,
+    out: Annotated[Path | None, "DIR", "Write tables and pictures there."] = None,
+    as_json: Json = False,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Unroll an arm of balloons by hand or by gas, and fill it.
+
+    Says how fast the roll is on its way, by which forces (the paper's fig. 14), and when the arm
+    is full and lifts itself.
+    """
+    from ..recordings import Definition, check_output_folder
+
+    check_quiet(quiet, written=out, as_json=as_json, by="--out DIR or --json")
+    sections = Definition() if definition is None else Definition.load(definition)
+    values = settings(pairs)
+    configure()
+    from ..apps.filling import FILLING_FILES
+    from ..apps.unrolling import (
+        UNROLLING_FILES,
+        unroll as unrolled_by,
+        unrolling_files,
+        unrolling_json,
+    )
+    from ..mechanics.inflation import Filling
+    from ..mechanics.unrolling import Unrolling
+    from ..models import arm_from_definition
+
+    if out is not None:
+        check_output_folder(out, (*UNROLLING_FILES, *FILLING_FILES), force=force)
+    filling = Filling.from_section(sections.filling, arm_from_definition(sections))
+    unrolling = Unrolling.from_section(sections.unrolling, filling)
+    if by_gas:
+        unrolling = dataclasses.replace(unrolling, order="by gas")
+    unrolled = unrolled_by(with_settings(unrolling, values))
+    if out is not None:
+        files = unrolling_files(unrolled)
+        write_folder(out, files, force=force)
+    if as_json:
+        typer.echo(unrolling_json(unrolled))
+    if as_json or quiet:
+        return
+    _show(unrolled)
+    if out is not None:
+        say_written(out, tuple(files))
+
+
+_SHOWN = 11
+"""Rows of the table."""
+
+
+def _show(unrolled: "Unrolled") -> None:
+    """Rows at evenly spaced times, and what is so of the whole."""
+    import numpy as np
+
+    wanted = np.linspace(0, unrolled.times[-1], _SHOWN)
+    rows = []
+    for k in np.unique(np.abs(unrolled.times[:, None] - wanted).argmin(axis=0)):
+        forces = unrolled.forces
+        rows.append(
+            (
+                f"{unrolled.times[k] / 60:.2f}",
+                f"{unrolled.paid_out[k]:.2f}",
+                f"{1e3 * unrolled.speed[k]:.2f}",
+                f"{1e3 * unrolled.radius[k]:.1f}",
+                f"{unrolled.pressure[k]:.2f}",
+                f"{forces.gas[k] + unrolled.hand_force[k]:.3f}",
+                f"{forces.weight[k]:.3f}",
+            )
+        )
+    driven = "gas N" if unrolled.unrolling.by_gas else "hand N"
+    print_table(["min", "out m", "mm/s", "radius mm", "Pa", driven, "weight N"], rows)
+    if not unrolled.finished:
+        why = "the supply is too weak, or has too little"
+        if not unrolled.unrolling.by_gas:
+            why = "the hand is too weak, or too slow"
+        at = f"{unrolled.times[-1] / 60:.0f} min, at {unrolled.paid_out[-1]:.2f} m"
+        typer.echo(f"\nnot unrolled after {at}: {why}")
+        return
+    typer.echo(f"\nunrolled after {unrolled.handed_over / 60:.2f} min")
+    full = unrolled.duration / 60
+    typer.echo("it is never full" if np.isnan(full) else f"full after {full:.2f} min")
+    lifts = unrolled.arm_lift_off / 60
+    borne = "the arm's lift does not bear it"
+    typer.echo(borne if np.isnan(lifts) else f"the arm lifts itself at {lifts:.2f} min")
