@@ -97,12 +97,14 @@ class States:
     Attributes:
         angles: of the joints, rad, shape (time, joint).
         rates: of the joints, rad/s, likewise.
+        tip: m, shape (time, 3).
         ends: of the links, m, shape (time, link, 3); the last one is the tip.
         wind: mean over the links of the wind that is unknown, m/s, shape (time, 3), or None.
         parameters: uncertain ones by path, SI, considered or estimated.
         biases: SI, shape (time, bias).
         angle_deviations: standard deviations, as the values; so are the next ones.
         rate_deviations: of the rates.
+        tip_deviations: of the tip.
         end_deviations: of the ends of the links.
         wind_deviations: of the wind.
         parameter_deviations: of the parameters.
@@ -113,28 +115,20 @@ class States:
 
     angles: Float[np.ndarray, "time joint"]
     rates: Float[np.ndarray, "time joint"]
+    tip: Float[np.ndarray, "time 3"]
     ends: Float[np.ndarray, "time link 3"]
     wind: Float[np.ndarray, "time 3"] | None
     parameters: dict[str, np.ndarray]
     biases: Float[np.ndarray, "time bias"]
     angle_deviations: Float[np.ndarray, "time joint"]
     rate_deviations: Float[np.ndarray, "time joint"]
+    tip_deviations: Float[np.ndarray, "time 3"]
     end_deviations: Float[np.ndarray, "time link 3"]
     wind_deviations: Float[np.ndarray, "time 3"] | None
     parameter_deviations: dict[str, np.ndarray]
     bias_deviations: Float[np.ndarray, "time bias"]
     mean: Float[np.ndarray, "time state"]
     root: Float[np.ndarray, "time state state"]
-
-    @property
-    def tip(self) -> Float[np.ndarray, "time 3"]:
-        """Position of the tip, m."""
-        return self.ends[:, -1]
-
-    @property
-    def tip_deviations(self) -> Float[np.ndarray, "time 3"]:
-        """Standard deviations of the tip, m."""
-        return self.end_deviations[:, -1]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -542,12 +536,14 @@ def as_states(tracked: TrackedArm, states: Gaussian) -> States:
     return States(
         angles=mean[:, :count],
         rates=mean[:, count : 2 * count],
+        tip=link_ends[:, -1],
         ends=link_ends,
         wind=wind if blows else None,
         parameters={path: mean[:, index] for path, index in of.items()},
         biases=mean[:, where["biases"]],
         angle_deviations=deviations[:, :count],
         rate_deviations=deviations[:, count : 2 * count],
+        tip_deviations=end_deviations[:, -1],
         end_deviations=end_deviations,
         wind_deviations=wind_deviations if blows else None,
         parameter_deviations={path: deviations[:, index] for path, index in of.items()},
