@@ -126,6 +126,12 @@ def test_a_track_is_shown_with_its_bands(tmp_path):
     old = shown(tmp_path)
     assert old.bands is None
     assert "bands are not shown: track the run again" in old.notes
+    (tmp_path / "bands.csv").write_text("time_s,other\n1,2,3\n")
+    with pytest.raises(InputError, match=r"bands\.csv is missing, or is no table"):
+        shown(tmp_path)
+    (tmp_path / "bands.csv").unlink()
+    with pytest.raises(InputError, match=r"bands\.csv is missing, or is no table"):
+        shown(tmp_path)
 
 
 def test_bands_and_truth_are_on_the_page(page, tmp_path):

@@ -177,7 +177,8 @@ def posed(run: Run, name: str) -> Show:
             f"'{run.name}' has no {missing[0]}: give the angles of all {model.arm.count} joints"
         )
     times = run.times
-    assert times is not None
+    if times is None:
+        raise InputError(f"'{run.name}' has no times: give a run that has a column time_s")
     angles = np.stack([np.asarray(run.values[column]) for column in columns], axis=1)
     if not np.all(np.isfinite(angles)):
         row = int(np.argmin(np.all(np.isfinite(angles), axis=1)))
@@ -194,7 +195,12 @@ def _tracked(folder: Path, name: str) -> Show:
     """Where a track has found an arm to be, with bands of 95 %."""
     show = posed(read_run(folder / TRACK_FILES.estimate), name)
     path = folder / TRACK_FILES.bands
-    table = np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True, deletechars=""))
+    try:
+        table = np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True, deletechars=""))
+    except (OSError, ValueError):
+        raise InputError(
+            f"{path} is missing, or is no table of numbers: track the run again"
+        ) from None
     links = range(sum(line.name == "link" for line in show.scene.lines))
     columns = [[end_columns(link, axis) for axis in "xyz"] for link in links]
     known = table.dtype.names or ()
