@@ -102,7 +102,7 @@ ON_A_RUN = (
 )  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_hint_of_every_command_works(world, capsys, monkeypatch):
     """What is printed to be typed is typed, and so is what that prints."""
     # Each choice of the model would be a program for the suspects, and is one more row of a table.

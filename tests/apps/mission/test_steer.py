@@ -131,7 +131,7 @@ def test_what_is_expected_is_the_middle_of_what_may_come():
     assert np.abs(np.asarray(alone - vector)[:20]).max() > 1e-5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_tip_comes_in_sooner():
     """The paper's arm, in its air; the operator takes three minutes."""
     flown = steered().fly(1)
