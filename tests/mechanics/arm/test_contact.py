@@ -363,6 +363,16 @@ def test_clearance_of_a_wall_is_that_of_points_along_the_links():
             assert np.all(gaps[~apart, k] < -0.14)
 
 
+@pytest.mark.parametrize("beside", [0.0, 0.2])
+def test_clearance_within_a_wall_is_to_its_faces_and_not_to_those_of_its_boxes(beside):
+    """Half of the thickness and the radius, of links that lie in it near where two boxes meet."""
+    centre = [1.0, 0.0, -0.5 - beside]
+    wall = WallWithOpening(centre, [1.0, 1.0], [1.5] * 4, 1.0, [0.0, 0.0, np.pi / 2])
+    around = dataclasses.replace(takeichi_20m(2), contact=Contact((wall,)))
+    gaps = np.asarray(mechanics.clearance(around, jnp.zeros(2)))
+    assert_allclose(gaps.min(axis=1), -0.5 - 0.15, atol=1e-6)
+
+
 def test_contact_needs_something_to_touch():
     with pytest.raises(InputError, match="without an obstacle: give at least one"):
         Contact(obstacles=())

@@ -142,10 +142,10 @@ def clearance(arm: Arm, angles: PerJoint) -> Float[Array, "link box"]:
     boxes = len(owners(arm.contact.obstacles))
     link, box = (grid.ravel() for grid in jnp.indices((arm.count, boxes)))
     lines, _ = _lines(arm, arm.contact, pose(arm, angles), Pairs(link, box))
-    # Each box by itself: a link that is beyond a shared face is near the box, too.
-    lines = lines._replace(shared=jnp.zeros_like(lines.shared))
+    # A link that is beyond a shared face is near the box, too; nobody leaves a box through one.
+    alone = lines._replace(shared=jnp.zeros_like(lines.shared))
     # To first order the distance does not depend on the nearest place.
-    near = jax.lax.stop_gradient(patches(lines).nearest)
+    near = jax.lax.stop_gradient(patches(alone).nearest)
     distance = _look(lines, near[:, None]).distance[:, 0] - lines.radius
     return distance.reshape(arm.count, boxes)
 
