@@ -18,7 +18,7 @@ SPEEDS = (0.1, 0.6)  # m/s
 CHANNELS, NOISE, RATE = ("tip_x", "tip_y", "tip_z"), 0.005, 10.0
 SECONDS, OTHERS = 60.0, 200
 CLASSES = ((0.0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 1.0))
-BETWEEN = (0.2, 0.9)  # share of success at a speed of the air, of the skill that is asked for
+BETWEEN = (0.2, 0.9)  # share of success at a speed of the air: there missions go either way
 
 
 def run(size: int, seed: int) -> Figures:

@@ -19,7 +19,6 @@ from ._experiments import EXPERIMENTS, Experiment, Stated
 from ._study import PROBABILITY, Figures, Study, shares_differ
 
 LEVEL = 0.95
-# Of a disagreement by chance, for each of the few dozen comparisons.
 
 
 class Case(NamedTuple):

@@ -15,8 +15,6 @@ import math
 from ._design_fits import CHANNELS, DRAG, FEWER, NOISE, TRUTH, fits, model_of, suggested
 from ._study import PROBABILITY, Figures, Study
 
-# Of a disagreement by chance, for each of the comparisons.
-
 
 def run(size: int, seed: int) -> Figures:
     """The design, `size` fits of each experiment, and half of them where joints remember."""

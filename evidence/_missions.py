@@ -15,8 +15,6 @@ from ._study import Figures, Study, shares_differ
 FILES = {"on the level": "naraha.toml", "along the line": "naraha_slant.toml"}
 WINDS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 
-# Of a disagreement by chance, for each of the comparisons.
-
 
 def run(size: int, seed: int, names: tuple[str, ...] = tuple(FILES)) -> Figures:
     """Figures of about `size` missions, as many of each reading and at each speed of the air."""

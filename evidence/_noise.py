@@ -21,7 +21,6 @@ from ._study import Figures, Study, shares_differ
 
 STEP_S = 0.1
 LEVEL = 0.95
-# Of a disagreement by chance, for each cell.
 
 
 class Case(NamedTuple):

@@ -18,7 +18,6 @@ from ._study import PROBABILITY, Figures, Study, shares_differ
 
 # Draws among which a truth has a rank, and how many ranks are counted together.
 DRAWS, EVERY, BINS = 126, 2, 8
-# Of a disagreement by chance, for each of the comparisons.
 
 
 class Case(NamedTuple):

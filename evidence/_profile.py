@@ -15,8 +15,6 @@ import numpy as np
 from ._record import ROOT
 from ._study import Figures, Study, shares_differ
 
-# Of a disagreement by chance, for each of a dozen comparisons.
-
 BASE_STEP = ROOT / "fits" / "base_step.toml"
 DETERMINED = ("joints.pitch_stiffness", "joints.damping", "air.drag_coefficient")
 

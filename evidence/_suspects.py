@@ -24,7 +24,6 @@ NOISE = 0.01
 FIRST = 3
 # Trial steps of a fit: with wrong axes, or no motion to find, the way is long, and leads far away.
 MOST = 80
-# Of a disagreement by chance, for each of the comparisons.
 
 START = {
     "air.drag_coefficient": 0.8,

@@ -320,9 +320,10 @@ Examples:
   giajax view run.csv --no-browser --host 0.0.0.0 --port 8100
                             for a browser on another machine
 
-WHAT is a recorded or simulated run, the folder of a fit (or its result.json) or of
-a track, or the TOML file of an arm. The page listens on this machine alone unless --host says
-otherwise, and opens only by its whole address, which has a token in it.""",
+WHAT is a recorded or simulated run, the folder of a fit (or its result.json) or
+of a track, or the TOML file of an arm. TRUE.csv has a sidecar with its [arm]. The
+page listens on this machine alone unless --host says otherwise, and opens only by
+its whole address, which has a token in it.""",
     group="first",
     old={"--out": "--page"},
 )
@@ -369,12 +370,12 @@ def view(
         shown(path, data=data or [], rename=renamed, run=run, name=name)
         for path, name in zip(what, names, strict=True)
     ]
-    if len(found) + (true is not None) > 1 and any(isinstance(each, Posable) for each in found):
+    if true is not None:
+        found, overlay = [*found, posed(true, "truth")], True
+    if len(found) > 1 and any(isinstance(each, Posable) for each in found):
         raise InputError(
             "an arm without a motion is shown by itself: give one TOML file, or runs and fits"
         )
-    if true is not None:
-        found, overlay = [*found, posed(true, "truth")], True
     if page is not None:
         shows = [
             each.show(np.zeros(each.arm.count)) if isinstance(each, Posable) else each

@@ -1,5 +1,6 @@
 """`giajax fill`: an arm of balloons that is filled with helium."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -131,8 +132,15 @@ def _show(filled: "Filled") -> None:
     else:
         why = "the supply is too weak, or has too little"
         typer.echo(f"\nnot full after {filled.times[-1] / 60:.0f} min: {why}")
-    at = minutes(filled.arm_lift_off)
-    typer.echo(f"the arm lifts itself at {at} min" if at else "the arm's lift does not bear it")
+    say_lift_off(filled.arm_lift_off)
+
+
+def say_lift_off(seconds: float) -> None:
+    """When an arm lifts itself; a time that never came is NaN."""
+    said = "the arm's lift does not bear it"
+    if not math.isnan(seconds):
+        said = f"the arm lifts itself at {seconds / 60:.2f} min"
+    typer.echo(said)
 
 
 def _show_curve(curve: "FillingCurve") -> None:

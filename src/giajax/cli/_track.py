@@ -122,8 +122,6 @@ def track(
     A square-root extended Kalman filter and a smoother over angles, rates, what joints remember,
     lagging drives, biases, mean wind and gusts, by the arm's own equation of motion.
     """
-    configure()
-    from ..apps.tracking import TRACK_FILES
     from ..recordings import (
         check_output_folder,
         observing,
@@ -134,11 +132,9 @@ def track(
     )
 
     check_quiet(quiet, written=out, as_json=as_json, by="--out DIR or --json")
-    names = [*TRACK_FILES, TRACK_FILES.estimate.replace(".csv", ".toml"), _HEARD]
     followed = live is not None or run == _STANDARD_INPUT
     if live is not None and not 0 < live < math.inf:
         raise InputError(f"--live is {live:g}: give a positive number of seconds")
-    check_output_folder(out, names, force=force)
     parts, length_scale = gust_numbers(gusts or "0.3:5")
     if mean is None and any(each is not None for each in (gusts, coherence, places)):
         raise InputError("--gusts, --coherence and --places are of a wind: give --wind, too")
@@ -151,7 +147,9 @@ def track(
         return observing(recorded, channels) if channels else recorded
 
     say_doubts(model, "what it tracks", quiet=quiet)
+    configure()
     from ..apps.tracking import (
+        TRACK_FILES,
         Unknown,
         band_columns,
         estimate_columns,
@@ -165,6 +163,8 @@ def track(
     )
     from ..report import study_page, to_png
 
+    names = [*TRACK_FILES, TRACK_FILES.estimate.replace(".csv", ".toml"), _HEARD]
+    check_output_folder(out, names, force=force)
     true = None if truth is None else _true(truth)
     considered = _numbers(uncertain, "--uncertain")
 

@@ -19,6 +19,7 @@ from ._commands import (
     say_written,
     write_folder,
 )
+from ._fill import say_lift_off
 from ._values import settings, with_settings
 
 if TYPE_CHECKING:
@@ -138,6 +139,4 @@ def _show(unrolled: "Unrolled") -> None:
     typer.echo(f"\nunrolled after {unrolled.handed_over / 60:.2f} min")
     full = unrolled.duration / 60
     typer.echo("it is never full" if np.isnan(full) else f"full after {full:.2f} min")
-    lifts = unrolled.arm_lift_off / 60
-    borne = "the arm's lift does not bear it"
-    typer.echo(borne if np.isnan(lifts) else f"the arm lifts itself at {lifts:.2f} min")
+    say_lift_off(unrolled.arm_lift_off)

@@ -22,7 +22,6 @@ from ._live import (
     lines_of as lines_of,
 )
 from ._report import (
-    BAND as BAND,
     TRACK_FILES as TRACK_FILES,
     TRACK_HEADINGS as TRACK_HEADINGS,
     TrackFiles as TrackFiles,
@@ -66,6 +65,7 @@ from ._track import (
 )
 from ._tracker import DelayedFilter as DelayedFilter, Tracker as Tracker
 from ._verdict import (
+    BAND as BAND,
     Cause as Cause,
     TrackVerdict as TrackVerdict,
     judge as judge,

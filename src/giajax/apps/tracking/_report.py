@@ -12,14 +12,12 @@ from ...runtime.records import plain_data
 from ...schema import CommandSection
 from ._live import Heard
 from ._track import SHOWN, Change, States, Track
-from ._verdict import TrackVerdict
+from ._verdict import BAND, TrackVerdict
 
 Hidden = Sequence[tuple[str, float, float]]
 """States that the channels hardly show, as of `unseen`."""
 
 _NAMED = 6
-BAND = 1.96
-"""Deviations on either side of a mean, within which it is in 95 of 100 cases."""
 
 
 class TrackFiles(NamedTuple):

@@ -29,6 +29,8 @@ from ._track import (
 )
 
 # What is off by less is of no consequence, whatever the number of measurements.
+BAND = 1.96
+"""Deviations on either side of a mean, within which it is in 95 of 100 cases."""
 _ENOUGH = 0.1
 _BEYOND = 4.0  # standard errors
 _LAGS = 10  # events
@@ -301,7 +303,7 @@ def nees(found: Track, truth: Run) -> tuple[float, float]:
 
     Returns:
         Mean normalised square of the error of a state, 1 where deviations are right, and the share
-        of errors within 1.96 deviations, 0.95 there.
+        of errors within `BAND` deviations, 0.95 there.
 
     Raises:
         InputError: no true angle or rate, or none at a time of the track.
@@ -330,7 +332,7 @@ def nees(found: Track, truth: Run) -> tuple[float, float]:
     covariance = root @ root.transpose(0, 2, 1)
     solved = np.linalg.solve(covariance, off[..., None])[..., 0]
     spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    return float(np.mean(off * solved)), float(np.mean(np.abs(off) < 1.96 * spread))
+    return float(np.mean(off * solved)), float(np.mean(np.abs(off) < BAND * spread))
 
 
 def unseen(

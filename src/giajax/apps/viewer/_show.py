@@ -21,7 +21,7 @@ from ...models import (
     recorded_markers,
     wind_of,
 )
-from ...recordings import Definition, Run, read_run, stored_result
+from ...recordings import Definition, Run, read_numbers, read_run, stored_result
 from ...runtime.arrays import Float
 from ...runtime.text import InputError
 from ...simulation import SimulationError, at_rest
@@ -177,8 +177,7 @@ def posed(run: Run, name: str) -> Show:
             f"'{run.name}' has no {missing[0]}: give the angles of all {model.arm.count} joints"
         )
     times = run.times
-    if times is None:
-        raise InputError(f"'{run.name}' has no times: give a run that has a column time_s")
+    assert times is not None  # a run of an arm has some
     angles = np.stack([np.asarray(run.values[column]) for column in columns], axis=1)
     if not np.all(np.isfinite(angles)):
         row = int(np.argmin(np.all(np.isfinite(angles), axis=1)))
@@ -195,26 +194,19 @@ def _tracked(folder: Path, name: str) -> Show:
     """Where a track has found an arm to be, with bands of 95 %."""
     show = posed(read_run(folder / TRACK_FILES.estimate), name)
     path = folder / TRACK_FILES.bands
-    try:
-        table = np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True, deletechars=""))
-    except (OSError, ValueError):
-        raise InputError(
-            f"{path} is missing, or is no table of numbers: track the run again"
-        ) from None
+    table = read_numbers(path)
     links = range(sum(line.name == "link" for line in show.scene.lines))
     columns = [[end_columns(link, axis) for axis in "xyz"] for link in links]
-    known = table.dtype.names or ()
-    if any(column not in known for link in columns for pair in link for column in pair):
+    if any(column not in table for link in columns for pair in link for column in pair):
         return dataclasses.replace(show, notes=("bands are not shown: track the run again",))
     # Shape (kind, link, axis, sample).
     found = np.array(
         [[[table[pair[kind]] for pair in link] for link in columns] for kind in (0, 1)]
     )
     centres, deviations = np.moveaxis(found, 3, 1)
-    if len(centres) != show.samples:
+    if len(centres) != show.samples or not np.all(np.isfinite(found)):
         raise InputError(
-            f"{TRACK_FILES.bands} and {TRACK_FILES.estimate} of {folder} have "
-            f"{len(centres)} and {show.samples} rows: track the run again"
+            f"{path} lacks rows or cells of {TRACK_FILES.estimate}: track the run again"
         )
     return dataclasses.replace(show, bands=Bands(centres, BAND * deviations))
 
@@ -267,7 +259,8 @@ def words(show: Show, sample: int, colour: str) -> str:
         said.append("tip at " + ", ".join(f"{part:.3f}" for part in tip[sample]) + " m")
     if show.bands is not None:
         size = float(np.linalg.norm(show.bands.halves[sample, -1]))
-        said.append(f"tip within {_length(size)} (95 %)")
+        # Of a band along each axis: as likely as that where one is long, and likelier elsewhere.
+        said.append(f"tip within {_length(size)} (95 % at least)")
     if (off := show.marker_error(sample)) is not None:
         said.append(f"recorded markers off by {_length(off)} (RMS)")
     for arrows in show.scene.arrows:

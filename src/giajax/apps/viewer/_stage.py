@@ -351,7 +351,7 @@ class Stage:
         bodies = segments(scene, sample, bodies=True)
         self._tubes("balloons/links", bodies, self._colour, opacity=0.55)
         centres, radii = joints(scene, sample)
-        self._balls("balloons/joints", centres, np.tile(0.35 * radii[:, None], 3), INK)
+        self._balls("balloons/joints", centres, 0.35 * radii[:, None], INK)
         threads = segments(scene, sample, bodies=False)
         threads[2][:] = _THREAD * self.scale.extent
         self._tubes("muscles/threads", threads, thread_colours(scene, sample, self.scale.pressure))
@@ -379,10 +379,11 @@ class Stage:
     def _balls(
         self, name: str, centres: Any, halves: Any, colour: Any, opacity: float | None = None
     ) -> None:
-        """Ellipsoids by their half axes along x, y and z, m."""
+        """Ellipsoids by their half axes along x, y and z, or balls by their radii, m."""
         if len(centres):
             turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(centres), 1))
-            self._batch(name, ball(), (centres, turns, halves), colour, opacity)
+            sizes = np.array(np.broadcast_to(halves, centres.shape))
+            self._batch(name, ball(), (centres, turns, sizes), colour, opacity)
 
     def _points(self, name: str, markers: Any, sample: int, colour: Any) -> None:
         if not markers:
@@ -391,8 +392,7 @@ class Stage:
         there = np.all(np.isfinite(points), axis=1)
         # One that is missing is made so small that it is not seen: batches keep their size.
         radii = np.where(there, _DOT * self.scale.extent, 1e-9)
-        halves = np.tile(radii[:, None], 3)
-        self._balls(name, np.where(there[:, None], points, 0.0), halves, colour)
+        self._balls(name, np.where(there[:, None], points, 0.0), radii[:, None], colour)
 
     def _batch(
         self, name: str, mesh: Mesh, placed: Any, colour: Any, opacity: float | None = None
