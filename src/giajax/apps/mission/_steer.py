@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...mechanics.arm import Arm, acceleration, tip_position
+from ...mechanics.arm import Arm, acceleration, pose, tip_position
 from ...models import ArmModel, parameter_values
 from ...runtime.arrays import Array, Bool, Float, Int, Scalar, safe_norm
 from ...schema import MissionSection
@@ -79,7 +79,8 @@ class Steering(AbstractController):
 
     The tracker has the drawn arm without obstacles, with angles, rates, memory, a mean flow and
     gusts, and the stiffness as states; corners of the opening are what it sees. The tip goes
-    towards a place before the opening at a speed, and through it once it is near its axis.
+    towards a place before the opening at a speed, and through it once it is near its axis, so that
+    the arm is as far from one side of the frame as from the other.
 
     **Safe state.** Where the opening has not been seen for `patience`, nothing is aimed at any
     more: the plan is that which brings the commands to the approach with the least swing, and they
@@ -285,7 +286,8 @@ class Steering(AbstractController):
         spread = safe_norm((slope[:3] @ now.root[:joints]).ravel())
         local = scene.opening.local(tip)
         inside = scene.opening.holds(local)
-        gap = self._target(scene.opening, local, spread) - tip
+        heading = scene.opening.frame.T @ pose(arm, rows[0]).direction[:, -1]
+        gap = self._target(scene.opening, local, heading, spread) - tip
         far = safe_norm(gap)
         towards = gap / jnp.maximum(far, 1e-9)
         seconds = jnp.arange(1, _HORIZON + 1, dtype=tip.dtype)[:, None]
@@ -332,14 +334,32 @@ class Steering(AbstractController):
         return jnp.where(stopped, 0, found)
 
     def _target(
-        self, opening: Opening, local: Float[Array, "3"], spread: Scalar
+        self,
+        opening: Opening,
+        local: Float[Array, "3"],
+        heading: Float[Array, "3"],
+        spread: Scalar,
     ) -> Float[Array, "3"]:
-        """Where the tip shall be: before the opening, or the nearer to its axis the deeper."""
-        outside = opening.outside(local, near=self.near, stand_off=self.stand_off, deep=self.deep)
+        """Where the tip shall be: before the opening, or the nearer to its axis the deeper.
+
+        The arm comes in at an angle. So that it keeps clear of the frame, the tip goes to a line
+        beside the axis: where the tip is at its deepest, the middle of what is inside is on it.
+
+        Arguments:
+            local: the tip, as of `Opening.local`, m.
+            heading: the direction of the last link along the axes of that.
+            spread: standard deviation of the tip, m.
+        """
+        beside = jnp.maximum(self.deep, 0) / 2 * heading[1:] / jnp.maximum(-heading[0], 0.5)
+        most = opening.half / 2
+        line = jnp.zeros(3, local.dtype).at[1:].set(jnp.clip(beside, -most, most))
+        outside = opening.outside(
+            local - line, near=self.near, stand_off=self.stand_off, deep=self.deep
+        )
         outside = jnp.where(spread > self.sure, self.stand_off, outside)
         # Where it is inside it stays inside.
         outside = jnp.where(opening.holds(local), -self.deep, outside)
-        return opening.centre + outside * opening.frame[:, 0]
+        return opening.centre + opening.frame @ line.at[0].set(outside)
 
     def _limits(self, command: Array) -> tuple[Array, Array]:
         """Of the rates of a plan; in its first piece also by what is left of the angles."""
