@@ -125,7 +125,7 @@ def knowing(mission: Any, seed: int) -> dict[str, Any]:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Fewer inside, or more that touched, than chance lets there be, by model predictive control."""
+    """Fewer inside or more that touched than chance lets there be, by model predictive control."""
     sentences = []
     for name, rows in new.items():
         before = {(row["driver"], row["wind_m_per_s"]): row for row in stored[name]}
@@ -140,8 +140,8 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
             clear = then["cases"] - then["touched"], row["cases"] - row["touched"]
             if shares_differ(clear[0], then["cases"], clear[1], row["cases"], fewer=True):
                 sentences.append(
-                    f"{name}, {row['driver']}: {row['touched']} of {row['cases']} touched something, "
-                    f"and {then['touched']} of {then['cases']} did"
+                    f"{name}, {row['driver']}: {row['touched']} of {row['cases']} touched "
+                    f"something, and {then['touched']} of {then['cases']} did"
                 )
     return sentences
 
