@@ -35,7 +35,9 @@ _ENOUGH = 0.1
 _BEYOND = 4.0  # standard errors
 _LAGS = 10  # events
 _GAIN = 8.0  # of the log-likelihood: 4 standard errors of one number
-_FIRST = 600  # rows of the run by which explanations are compared
+# Rows of the run by which explanations are compared, and clocks: gusts hide a shift of one wherever
+# no command moves.
+_FIRST, _FIRST_OF_CLOCKS = 600, 1800
 _SHIFTS = (-0.2, 0.2)  # of a clock, s
 _OFTEN = 0.02  # of the measurements that are left out
 
@@ -96,12 +98,12 @@ class TrackVerdict:
         )
 
 
-def _first_rows(run: Run) -> Run:
+def _first_rows(run: Run, count: int = _FIRST) -> Run:
     """The first rows of a run, which are as many for every explanation."""
-    if run.times is None or len(run.times) <= _FIRST:
+    if run.times is None or len(run.times) <= count:
         return run
-    values = {name: column[:_FIRST] for name, column in run.values.items()}
-    return dataclasses.replace(run, times=run.times[:_FIRST], values=values)
+    values = {name: column[:count] for name, column in run.values.items()}
+    return dataclasses.replace(run, times=run.times[:count], values=values)
 
 
 def _without_first(run: Run, names: Sequence[str], late: float) -> Run:
@@ -145,9 +147,9 @@ def judge(
 ) -> TrackVerdict:
     """Whether a track of a model can be trusted.
 
-    Clocks are shifted in any case. Where innovations are too large or not white, a wind with
-    gusts, other stiffness and drag, a bias of the camera, more unmodelled torque and more noise
-    are tried, too; each by the log-likelihood of the first 600 rows.
+    Clocks are shifted in any case, by the log-likelihood of the first 1,800 rows. Where innovations
+    are too large or not white, a wind with gusts, other stiffness and drag, a bias of the camera,
+    more unmodelled torque and more noise are tried, too, by that of the first 600.
 
     Arguments:
         model: that was tracked.
@@ -188,7 +190,8 @@ def judge(
         tried.append(path)
         nominal = found.arm.delay_of(path) or 0.0
         names = [name for name in found.arm.channels if delay_path(name) == path]
-        same = _without_first(short, names, nominal + max(_SHIFTS))
+        enough = _first_rows(found.run, _FIRST_OF_CLOCKS)
+        same = _without_first(enough, names, nominal + max(_SHIFTS))
         totals = {
             shift: likely(replace(stated, {path: nominal + shift}), found.unknown, short=same)
             for shift in (0.0, *_SHIFTS)
