@@ -27,8 +27,8 @@ from ..mechanics.inflation import (
     bag_state,
     inflow,
     mass_flow,
-    stiff_share,
 )
+from ..mechanics.wrinkling import stiff_share
 from ..report import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png
 from ..runtime.arrays import Array, Bool, Float, Int, Scalar
 from ..runtime.limits import FILLING_S
@@ -299,7 +299,7 @@ def fill(
         flow=flow,
         net_lift=lift,
         folding_moment=fold,
-        stiffness=without_wrinkles * stiff_share(load),
+        stiffness=without_wrinkles * np.asarray(stiff_share(jnp.asarray(load))),
         full=np.asarray(found.full)[here],
         lift_off=np.asarray(found.lifts),
         arm_lift_off=float(found.lifts_all),
