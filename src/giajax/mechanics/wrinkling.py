@@ -4,10 +4,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..runtime.arrays import Array, Float, larger, limited
+from ..runtime.arrays import Array, Float, Scalar, larger, limited
+from ..schema import NECK
+from ..schema.parameters import parameter
 
 Numbers = Float[Array, "..."]
 
@@ -23,14 +26,22 @@ class Tube(NamedTuple):
     film_stiffness: Array
 
 
-class Neck(NamedTuple):
-    """A piece of such a tube that bends between two stiff links: its length, m, and the pressure
-    of its gas above that of the room, Pa.
+class Neck(eqx.Module):
+    """The neck of film between two links, which is bent where their joint is.
+
+    Without a radius (None) there is none: the joint is a hinge.
     """
 
-    tube: Tube
-    length: Array
-    pressure: Array
+    radius: Scalar | None = parameter(NECK.radius)
+    length: Scalar = parameter(NECK.length)
+    film_stiffness: Scalar = parameter(NECK.film_stiffness)
+    pressure: Scalar = parameter(NECK.pressure)
+
+    @property
+    def tube(self) -> Tube:
+        """The tube that it is a piece of."""
+        assert self.radius is not None
+        return Tube(self.radius, self.film_stiffness)
 
 
 def moment(tube: Tube, curvature: Numbers, force: Numbers) -> Numbers:

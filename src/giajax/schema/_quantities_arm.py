@@ -499,6 +499,15 @@ class _Skin(Group):
     ).keyed("skin_slack")
 
 
+class _Neck(Group):
+    radius = Declaration(
+        0.05, "m", "radius of the neck in a joint", lower=0, optional=True, assumed=True
+    )
+    length = guess(0.02, "m", "length of film that bends in the neck")
+    film_stiffness = guess(_Skin.stiffness.default, "N/m", "modulus times thickness of its film")
+    pressure = guess(1e3, "Pa", "pressure of the gas in the neck, above that of the room")
+
+
 class _Ports(Group):
     diameter = guess(
         0.01, "m", "diameter of the port between two bags", per="port", each=True
@@ -574,6 +583,7 @@ class _Hand(Group):
 
 GAS = _Gas("gas")
 SKIN = _Skin("skin")
+NECK = _Neck("neck")
 PORTS = _Ports("ports")
 SUPPLY = _Supply("supply")
 ROLL = _Roll("roll")
