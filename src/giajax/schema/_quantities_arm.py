@@ -52,6 +52,13 @@ class _Links(Group):
         "displaced volume of a link over that of the cylinder of its length and diameter",
         per="link",
     )
+    pressure = guess(
+        1000.0,
+        "Pa",
+        "gauge pressure of the gas in a link",
+        earlier="contact.pressure",
+        **EACH_LINK,
+    ).keyed("link_pressure_kPa", earlier="contact_pressure_kPa")
 
 
 class _Base(Group):
@@ -306,9 +313,6 @@ NO_NEUTRAL = (LINKS.length, LINKS.diameter, LINKS.mass,
 
 
 class _Contact(Group):
-    pressure = guess(
-        1000.0, "Pa", "gauge pressure in a link, which presses where it is flattened", **EACH_LINK
-    ).keyed("contact_pressure_kPa")
     shape_factor = positive(
         np.pi,
         "",
