@@ -109,9 +109,7 @@ def test_impulse_is_what_the_motion_lost():
     none = {"joints.pitch_stiffness": 1e-9, "joints.damping": 0.0, "air.drag_coefficient": 1e-9}
     none |= {"links.pressure": 50.0}
     for damping, kept in ((0.0, 1.0), (1.0, None)):
-        arm = takeichi_20m(
-            1, contact=Contact(obstacles=(wall,), damping=damping), parameters=none
-        )
+        arm = takeichi_20m(1, contact=Contact(obstacles=(wall,), damping=damping), parameters=none)
         times = np.linspace(0.0, 0.6, 3001)
         start = (jnp.zeros(1), jnp.asarray([-0.8]))
         motion = simulate(arm, constant(jnp.zeros(1)), times, initial=start, rtol=1e-9, atol=1e-9)

@@ -13,7 +13,7 @@ from ..runtime.arrays import Array, Float, Scalar, larger, limited
 from ..runtime.text import InputError
 from ..schema import GAS, PORTS, SKIN, SUPPLY, FillingSection
 from ..schema.parameters import declared, inline, parameter, replace
-from .arm import Arm, bodies, takeichi_20m
+from .arm import STANDARD_GRAVITY, Arm, bodies, takeichi_20m
 
 
 class Gas(eqx.Module):
@@ -203,6 +203,22 @@ def stiff_share(load: Floats) -> Floats:
     moment = (2 * (np.pi - t) + np.sin(2 * t)) / (4 * ((np.pi - t) * np.cos(t) + np.sin(t)))
     share = 1 - t / np.pi + np.sin(2 * t) / (2 * np.pi)
     found: Floats = np.interp(load, moment, share, right=0.0)
+    return found
+
+
+def bending_stiffness(arm: Arm, skin: Skin, pressure: npt.ArrayLike | None = None) -> Floats:
+    """Bending stiffness of each link that bears its own weight from one end, N m^2 (`stiff_share`).
+
+    Arguments:
+        pressure: of the links, Pa, shape (..., link); `links.pressure` by default.
+    """
+    links = arm.links
+    radius, mass = np.asarray(links.diameter) / 2, np.asarray(links.mass)
+    fold = np.pi * radius**3 * np.asarray(links.pressure if pressure is None else pressure)
+    own = mass * STANDARD_GRAVITY * np.asarray(links.length) / 2
+    with np.errstate(divide="ignore"):
+        load = own / fold
+    found: Floats = float(skin.stiffness) * np.pi * radius**3 * stiff_share(load)
     return found
 
 

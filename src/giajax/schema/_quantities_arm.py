@@ -58,7 +58,7 @@ class _Links(Group):
         "gauge pressure of the gas in a link",
         earlier="contact.pressure",
         **EACH_LINK,
-    ).keyed("link_pressure_kPa", earlier="contact_pressure_kPa")
+    ).keyed("link_pressure_kPa", closed=True, earlier="contact_pressure_kPa")
 
 
 class _Base(Group):

@@ -174,8 +174,8 @@ class Links(eqx.Module):
         return np.pi / 4 * self.diameter**2 * self.length * self.fullness
 
     @property
-    def pressed(self) -> Float[Array, " link"]:
-        """Force of the pressure on the end of each link, p pi r^2, N."""
+    def end_force(self) -> Float[Array, " link"]:
+        """Force of the pressure on the end of each link, p pi r^2, N: what pulls more folds it."""
         return self.pressure * np.pi / 4 * self.diameter**2
 
 
