@@ -13,7 +13,8 @@ from ..runtime.arrays import Array, Float, Scalar, larger, limited
 from ..runtime.text import InputError
 from ..schema import GAS, PORTS, SKIN, SUPPLY, FillingSection
 from ..schema.parameters import declared, inline, parameter, replace
-from .arm import Arm, bodies, takeichi_20m
+from .arm import STANDARD_GRAVITY, Arm, bodies, takeichi_20m
+from .wrinkling import stiff_share
 
 
 class Gas(eqx.Module):
@@ -181,6 +182,25 @@ def inflow(gas: Gas, supply: Supply, pressure: Scalar, supplied: Scalar) -> Scal
     room = gas.ambient_pressure
     # A step that the integrator tries may have emptied the bottle.
     return mass_flow(gas, hole, larger(room + before, room / 2), room + pressure)
+
+
+Floats = npt.NDArray[np.float64]
+
+
+def bending_stiffness(arm: Arm, skin: Skin, pressure: npt.ArrayLike | None = None) -> Floats:
+    """Bending stiffness of each link that bears its own weight from one end, N m^2 (`stiff_share`).
+
+    Arguments:
+        pressure: of the links, Pa, shape (..., link); `links.pressure` by default.
+    """
+    links = arm.links
+    radius, mass = np.asarray(links.diameter) / 2, np.asarray(links.mass)
+    fold = np.pi * radius**3 * np.asarray(links.pressure if pressure is None else pressure)
+    own = mass * STANDARD_GRAVITY * np.asarray(links.length) / 2
+    with np.errstate(divide="ignore"):
+        load = own / fold
+    share: Floats = np.asarray(stiff_share(jnp.asarray(load)))
+    return float(skin.stiffness) * np.pi * radius**3 * share
 
 
 class Ports(eqx.Module):
