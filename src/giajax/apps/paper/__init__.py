@@ -28,10 +28,12 @@ from ._contenders import (
 from ._explanations import (
     EXPLANATIONS as EXPLANATIONS,
     Explained as Explained,
+    Searched as Searched,
     at_pressure as at_pressure,
     collapse_pressure as collapse_pressure,
     collapse_radius as collapse_radius,
     explained as explained,
+    explanations_figure as explanations_figure,
     likelihood as likelihood,
     misfit as misfit,
 )

@@ -1,12 +1,16 @@
 """What fig. 12 says of its joint: the pair alone, a neck that gives way, or both."""
 
-from collections.abc import Iterable, Iterator
+import itertools
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 
 from ...mechanics.joint import (
     LARGEST_ANGLE,
@@ -18,6 +22,7 @@ from ...mechanics.joint import (
     slow_history,
 )
 from ...mechanics.wrinkling import Neck, neck_moment
+from ...report import BLUE, DEGREE, GREY, VERMILLION, new_figure, plain
 from ...runtime.arrays import Array, Float
 from ...runtime.programs import program
 from ..experiments import paper_history
@@ -39,10 +44,28 @@ uncertainty of "about", of the last digit, and of a command of a whole degree.
 PRESSURES = (800.0, 1000.0, 1500.0)
 """Of the links, Pa: at these an experiment tells explanations apart."""
 
-# What is tried: dry friction of muscles and film, N m, and radius and length of the neck, m.
-_FRICTIONS = np.linspace(0.0, 0.16, 17)
-_RADII = np.linspace(0.030, 0.060, 16)
-_LENGTHS = np.array([0.01, 0.02, 0.03, 0.05, 0.08])
+
+class Searched(NamedTuple):
+    """What is tried: dry friction of muscles and film, N m, radius and length of the neck, m, and
+    pressure of its gas, Pa.
+    """
+
+    frictions: Floats = np.linspace(0.0, 0.16, 17)
+    radii: Floats = np.linspace(0.030, 0.060, 16)
+    lengths: Floats = np.array([0.01, 0.02, 0.03, 0.05, 0.08])
+    pressure: float = 1e3
+
+    @property
+    def necks(self) -> Iterator[Neck]:
+        """All of these necks."""
+        for radius, length in itertools.product(self.radii, self.lengths):
+            yield _neck(float(radius), float(length), self.pressure)
+
+
+def _neck(radius: float, length: float, pressure: float) -> Neck:
+    return Neck(*map(jnp.asarray, (radius, length)), pressure=jnp.asarray(pressure))
+
+
 _STIFFNESS_AT = np.deg2rad(30.0)  # whose stiffness a spring has that is put for a pair
 
 _COMMANDS = np.arange(-60.0, 61.0)
@@ -136,15 +159,6 @@ def _loops(torques: Array, pressed: Array, neck: Neck, frictions: Array, steps: 
     return jax.vmap(lambda f: slow_history(of_steps, angle, f, start))(frictions)
 
 
-def _necks(with_neck: bool, pressure: float) -> Iterator[Neck]:
-    if not with_neck:
-        yield Neck()
-        return
-    for radius in _RADII:
-        for length in _LENGTHS:
-            yield Neck(radius=radius, length=length, pressure=pressure)
-
-
 def _tried(name: str, necks: Iterable[Neck], frictions: Floats) -> Iterator[Explained]:
     """What an explanation predicts with each of these necks and frictions."""
     bistable, _ = EXPLANATIONS[name]
@@ -163,16 +177,17 @@ def _tried(name: str, necks: Iterable[Neck], frictions: Floats) -> Iterator[Expl
             yield Explained(name, float(friction), radius, length, angles)
 
 
-def explained(loop: Floats, pressure: float = 1e3) -> dict[str, tuple[Explained, Explained]]:
+def explained(
+    loop: Floats, searched: Searched | None = None
+) -> dict[str, tuple[Explained, Explained]]:
     """By explanation, what is nearest to the text and what makes most of a loop.
 
-    Arguments:
-        loop: measured where the paper's history is, deg.
-        pressure: of the gas in the necks, Pa.
+    The loop is measured where the paper's history is, deg.
     """
-    found = {}
+    searched, found = searched or Searched(), {}
     for name, (_, with_neck) in EXPLANATIONS.items():
-        every = list(_tried(name, _necks(with_neck, pressure), _FRICTIONS))
+        necks = searched.necks if with_neck else [Neck()]
+        every = list(_tried(name, necks, searched.frictions))
         nearest = min(every, key=lambda one: one.misfit)
         found[name] = nearest, max(every, key=lambda one: likelihood(one.angles, loop))
     return found
@@ -181,10 +196,29 @@ def explained(loop: Floats, pressure: float = 1e3) -> dict[str, tuple[Explained,
 def at_pressure(one: Explained, pressure: float) -> Explained:
     """The same joint with other gas in its links, Pa."""
     neck = Neck()
-    if one.radius is not None:
-        neck = Neck(radius=one.radius, length=one.length, pressure=pressure)
+    if one.radius is not None and one.length is not None:
+        neck = _neck(one.radius, one.length, pressure)
     (found,) = _tried(one.name, [neck], np.array([one.friction]))
     return found
+
+
+def explanations_figure(found: Mapping[str, tuple[Explained, Explained]], loop: Floats) -> Figure:
+    """Loops of the explanations that are nearest to the text, and a loop, against the command."""
+    plan = paper_history()
+    aimed = plan.target[plan.measured]
+    figure = new_figure(
+        11, 4.2, "One link: what is nearest to the text of fig. 12; the stand-in in grey"
+    )
+    panels = figure.subplots(1, len(found), sharey=True)
+    for panel, (name, (nearest, _)) in zip(panels, found.items(), strict=True):
+        panel.plot(aimed, loop, color=GREY, linewidth=0.9)
+        panel.plot(aimed, nearest.angles, color=VERMILLION, linewidth=1.4)
+        panel.plot([13.0], [30.0], "o", color=BLUE, markersize=5)
+        parts = "\n".join(textwrap.wrap(nearest.needs, 44))
+        plain(panel, f"{name}, chi-square {nearest.misfit:.1f}\n{parts}")
+        panel.set_xlabel(f"command ({DEGREE})")
+    panels[0].set_ylabel(f"angle ({DEGREE})")
+    return figure
 
 
 def collapse_pressure(radius: float, torque: float, compressed: float) -> float:
