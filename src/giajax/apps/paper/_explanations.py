@@ -63,7 +63,8 @@ class Searched(NamedTuple):
 
 
 def _neck(radius: float, length: float, pressure: float) -> Neck:
-    return Neck(*map(jnp.asarray, (radius, length)), pressure=jnp.asarray(pressure))
+    values = {"radius": radius, "length": length, "pressure": pressure}
+    return Neck(**{name: jnp.asarray(value) for name, value in values.items()})
 
 
 _STIFFNESS_AT = np.deg2rad(30.0)  # whose stiffness a spring has that is put for a pair
