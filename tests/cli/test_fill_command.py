@@ -32,7 +32,14 @@ def test_it_writes_what_it_says(tmp_path, capsys):
     command = ["fill", str(tmp_path / "three.toml"), "--minutes", "4", "--out", str(out)]
     assert main(command) == 0
     printed = capsys.readouterr().out
-    names = {"filling.json", "filling.csv", "filling.png", "inflation.toml", "curve.csv", "curve.png"}
+    names = {
+        "filling.json",
+        "filling.csv",
+        "filling.png",
+        "inflation.toml",
+        "curve.csv",
+        "curve.png",
+    }
     assert {path.name for path in out.iterdir()} == names
     assert all(name in printed for name in names)
     for name in ("filling.png", "curve.png"):

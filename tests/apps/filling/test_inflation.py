@@ -124,7 +124,7 @@ def test_files_and_paths_of_earlier_versions_are_read(tmp_path):
 
 
 def test_a_pressure_is_not_negative(tmp_path):
-    with pytest.raises(InputError, match="link_pressure_kPa = -0.5 must be zero or a positive"):
+    with pytest.raises(InputError, match=r"link_pressure_kPa = -0\.5 must be zero or a positive"):
         definition(tmp_path, "[arm]\nlinks = 2\nlink_pressure_kPa = -0.5\n")
     with pytest.raises(InputError, match="link_pressure_kPa has 2 values, but must have one for"):
         definition(tmp_path, "[arm]\nlinks = 3\nlink_pressure_kPa = [0.5, 0.5]\n")
