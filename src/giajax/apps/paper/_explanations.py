@@ -77,9 +77,8 @@ _ANGLES = np.linspace(-LARGEST_ANGLE, LARGEST_ANGLE, 601)
 class Explained:
     """An explanation with the parameters that make most of what it is compared with.
 
-    Attributes:
-        friction, radius, length: N m and m; no neck where these two are None.
-        angles: that are predicted where the paper's history is measured, its offset removed, deg.
+    Friction is in N m, and the shape of the neck in m: None where there is none. The predicted
+    angles are those where the paper's history is measured, their offset removed, deg.
     """
 
     name: str
