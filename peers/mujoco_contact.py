@@ -42,7 +42,7 @@ class MujocoContact(MujocoChain):
         )
         self._scene_data = mujoco.MjData(self._scene)
         mujoco.mj_forward(self._scene, self._scene_data)
-        self._line = float(arm.contact.shape_factor) * float(arm.contact.pressure)
+        self._line = float(arm.contact.line(arm.links)[0])
         self._harder = float(arm.contact.damping)
         self._radius = np.asarray(arm.links.diameter) / 2
         self._length = np.asarray(arm.links.length)

@@ -19,7 +19,7 @@ from giajax.apps.experiments import figure_12, one_link
 from giajax.apps.filling import curve_figure, filling_curve, filling_figure
 from giajax.apps.joint import correction_figure, equilibria_figure, equilibria_table, joint_figure
 from giajax.apps.mission import Mission, Operator, mission_figure
-from giajax.apps.paper import reproduce
+from giajax.apps.paper import explained, explanations_figure, reproduce
 from giajax.apps.planning import Through, plan_command, plan_figure, plan_rows
 from giajax.apps.shaping import Command, shape_command, shaping_figure
 from giajax.apps.synthetic import DECAY
@@ -119,6 +119,14 @@ def _hysteresis() -> None:
     _save("fig12", to_png(figure_12(one_link())))
 
 
+def _wrinkling() -> None:
+    """The explanations of fig. 12 that are nearest to the text."""
+    study = one_link()
+    trial = study.trial("paper", "none")
+    loop = trial.angles[trial.history.measured]
+    _save("wrinkling", to_png(explanations_figure(explained(loop), loop)))
+
+
 def _filling() -> None:
     """The arm filled with helium, and which port goes with which supply."""
     _save("filling", to_png(filling_figure(giajax.fill())))
@@ -188,6 +196,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     "equilibria.png corrections.png joint.png": _joint,
     "sensitivity.png": _sensitivity,
     "fig12.png": _hysteresis,
+    "wrinkling.png": _wrinkling,
     "filling.png filling_curve.png": _filling,
     "unrolling.png": _unrolling,
     "mission.png": _mission,

@@ -32,7 +32,14 @@ def test_it_writes_what_it_says(tmp_path, capsys):
     command = ["fill", str(tmp_path / "three.toml"), "--minutes", "4", "--out", str(out)]
     assert main(command) == 0
     printed = capsys.readouterr().out
-    names = {"filling.json", "filling.csv", "filling.png", "curve.csv", "curve.png"}
+    names = {
+        "filling.json",
+        "filling.csv",
+        "filling.png",
+        "inflation.toml",
+        "curve.csv",
+        "curve.png",
+    }
     assert {path.name for path in out.iterdir()} == names
     assert all(name in printed for name in names)
     for name in ("filling.png", "curve.png"):
@@ -41,6 +48,8 @@ def test_it_writes_what_it_says(tmp_path, capsys):
     assert facts["finished"]
     assert facts["filling"]["port_diameter_mm"] == [8.0, 9.0]
     assert facts["imbalance"] < 1e-10
+    assert "note: 3 of 3 links end with less than the 50.1 N" in printed
+    assert facts["collapse"] in printed
     assert f"full after {facts['duration_s'] / 60:.2f} min" in printed
     assert facts["links"]["link03"]["full_s"] == facts["duration_s"]
     assert facts["links"]["link01"]["lift_off_s"] < facts["arm_lift_off_s"] < facts["duration_s"]

@@ -204,6 +204,11 @@ def gravity(columns, definition, rng):
     definition.setdefault("arm", {})["gravity_m_per_s2"] = 9.81
 
 
+def limp(columns, definition, rng):
+    arm = {"muscles": "pitch", "link_pressure_kPa": 0.0205}
+    definition["arm"] = definition.get("arm", {}) | arm
+
+
 def at_rest(columns, definition, rng):
     definition["initial"] = {"free": True}
 
@@ -229,6 +234,7 @@ MISTAKES = {
     wrap: ("wrap", ["pendulum"]),
     mass: ("constants", ["base_step"]),
     gravity: ("constants", ["base_step"]),
+    limp: ("constants", ["base_step"]),
     at_rest: ("start", ["pendulum"]),
 }
 CASES = [(mistake, name) for mistake, (_, names) in MISTAKES.items() for name in names]
@@ -249,6 +255,27 @@ def test_a_mistake_is_named(mistake, name):
     found = made(mistake, name, 1)
     assert MISTAKES[mistake][0] in [odd.code for odd in found], found
     assert all(odd.sentence and odd.remedy for odd in found)
+
+
+@quick
+@pytest.mark.parametrize(
+    ("arm", "sentence"),
+    [
+        ({"link_pressure_kPa": [1.0] * 19 + [0.0205]}, "of link 20 is 1.45 N, at 20.5 Pa, less"),
+        ({"contact_pressure_kPa": 0.5}, "of each link is 35.3 N, at 500 Pa, less than the 50.1 N"),
+        ({"muscle_law": "empirical", "link_pressure_kPa": 0.25}, "less than the 20 N of one"),
+        ({"muscle_law": "empirical", "link_pressure_kPa": 0.3}, None),
+        ({"parameters": {"muscle.pressure_limit": 1e5}, "link_pressure_kPa": 0.5}, None),
+        ({}, None),
+    ],
+)
+def test_a_link_that_one_muscle_folds_is_named(arm, sentence):
+    """p pi r^2 against the pull at the pressure limit: 70.7 N a kilopascal."""
+    columns, definition = right("base_step", np.random.default_rng(4))
+    definition["arm"] = {"links": 20, "muscles": "pitch"} | arm
+    said = [odd.sentence for odd in found(columns, definition) if "collapse" in odd.sentence]
+    assert len(said) == (sentence is not None)
+    assert all(sentence in each for each in said)
 
 
 @quick

@@ -34,6 +34,7 @@ PATHS = [
     "links.inertia_transverse",
     "links.inertia_axial",
     "links.fullness",
+    "links.pressure",
     "joints.pitch_stiffness",
     "joints.yaw_stiffness",
     "joints.damping",

@@ -124,6 +124,8 @@ def test_the_paths_that_pages_name_are_declared():
     known = {path for group in GROUPS.values() for path in paths_of(group)}
     sections = {name: of for kind in KINDS.values() for name, of in kind.all_sections.items()}
     known |= {f"{name}.{key}" for name, of in sections.items() for key in of.model_fields}
+    # Records and the page of earlier names have those.
+    known |= {each.earlier for group in GROUPS.values() for each in group}
     # The name of a camera is part of its paths, and pages choose one.
     named_by_files = "|".join(name for name, of in sections.items() if of.entries)
     named = {

@@ -27,10 +27,11 @@ WALL = ([1.9, 0.0, 0.5], [0.4, 0.2, 0.2], [0.0, 0.0, 0.4])
 EDGE = ([1.3, 0.35, 0.0], [0.15, 0.15, 1.0], [0.0, 0.0, 0.7])
 
 
-def arm_at(box, **about):
+def arm_at(box, pressure=1000.0, **about):
     centre, half, turn = box
     obstacle = Box(centre=centre, size=2 * np.asarray(half), rotation=turn)
     stiff = {"joints.pitch_stiffness": 3.0, "joints.yaw_stiffness": 3.0, "joints.damping": 0.1}
+    stiff["links.pressure"] = pressure
     return takeichi_20m(2, contact=Contact(obstacles=(obstacle,), **about), parameters=stiff)
 
 
@@ -106,10 +107,9 @@ def test_impulse_is_what_the_motion_lost():
     """A free link that bounces off a wall: twice its angular momentum, but for the damping."""
     wall = Box(centre=[0.9, 0.0, -0.45], size=[0.3, 0.6, 0.4])
     none = {"joints.pitch_stiffness": 1e-9, "joints.damping": 0.0, "air.drag_coefficient": 1e-9}
+    none |= {"links.pressure": 50.0}
     for damping, kept in ((0.0, 1.0), (1.0, None)):
-        arm = takeichi_20m(
-            1, contact=Contact(obstacles=(wall,), pressure=50.0, damping=damping), parameters=none
-        )
+        arm = takeichi_20m(1, contact=Contact(obstacles=(wall,), damping=damping), parameters=none)
         times = np.linspace(0.0, 0.6, 3001)
         start = (jnp.zeros(1), jnp.asarray([-0.8]))
         motion = simulate(arm, constant(jnp.zeros(1)), times, initial=start, rtol=1e-9, atol=1e-9)
@@ -234,7 +234,7 @@ def test_derivatives_through_an_impact_are_differences():
     times = np.linspace(0.0, 1.0, 11)
 
     def end(pressure, stiffness):
-        changes = {"contact.pressure": pressure, "joints.pitch_stiffness": stiffness}
+        changes = {"links.pressure": pressure, "joints.pitch_stiffness": stiffness}
         moved = giajax.replace(arm, changes)
         motion = simulate(moved, command, times, solver="springs5", rtol=1e-9, atol=1e-9)
         return motion.tip[-1]

@@ -27,7 +27,8 @@ ARMS = {
         "parameters": {"joints.damping": 0.6, "joints.yaw_stiffness": 5.0, "drive.lag": 0.3},
     },
     "ground": {
-        "contact": Contact(obstacles=(Plane(centre=[0.0, 0.0, -0.5]),), pressure=200.0),
+        "contact": Contact(obstacles=(Plane(centre=[0.0, 0.0, -0.5]),)),
+        "parameters": {"links.pressure": 200.0},
         "gravity": 9.81,
     },
 }
@@ -136,8 +137,9 @@ def test_what_cannot_be_stepped_is_refused():
 @pytest.mark.slow
 def test_a_tolerance_makes_steps_as_short_as_they_need_be():
     """An interval in which equal steps would jump onto a stiff ground."""
-    contact = Contact(obstacles=(Plane(centre=[0.0, 0.0, -0.5]),), pressure=2000.0, friction=0.5)
-    arm = takeichi_20m(3, contact=contact, gravity=9.81, parameters=STIFF)
+    contact = Contact(obstacles=(Plane(centre=[0.0, 0.0, -0.5]),), friction=0.5)
+    stiff = STIFF | {"links.pressure": 2000.0}
+    arm = takeichi_20m(3, contact=contact, gravity=9.81, parameters=stiff)
     commands, times = operated()[::3], TIMES[::3]
     found = simulate(arm, logged(times, commands), times, solver="springs5", rtol=1e-9, atol=1e-9)
     errors = {}

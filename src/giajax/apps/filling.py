@@ -17,7 +17,6 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..mechanics.arm import STANDARD_GRAVITY
 from ..mechanics.inflation import (
     STRENGTHS,
     BagState,
@@ -25,10 +24,13 @@ from ..mechanics.inflation import (
     Hole,
     PerBag,
     bag_state,
+    bending_stiffness,
     inflow,
     mass_flow,
-    stiff_share,
 )
+from ..mechanics.joint import BraidedMuscle
+from ..models import arm_to_definition, preset_of
+from ..recordings import to_toml
 from ..report import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png
 from ..runtime.arrays import Array, Bool, Float, Int, Scalar
 from ..runtime.limits import FILLING_S
@@ -37,7 +39,7 @@ from ..runtime.process import cores
 from ..runtime.programs import program
 from ..runtime.records import plain_data
 from ..runtime.text import InputError
-from ..schema import GAS, PORTS, SKIN, SUPPLY
+from ..schema import AT_REST, GAS, LINKS, PORTS, SKIN, SUPPLY
 from ..schema.parameters import check_within_bounds, declared, get, replace
 
 _MOST_STEPS = 20_000
@@ -247,6 +249,40 @@ class Filled:
         off = np.max(np.abs(self.supplied - self.gas.sum(axis=1)))
         return float(off) / float(np.sum(np.asarray(self.filling.full_mass)))
 
+    @property
+    def inflation(self) -> dict[str, _Numbers]:
+        """Pressure and fullness of the links in the end, for `giajax.replace` of the arm.
+
+        Example:
+            >>> import giajax
+            >>> filled = giajax.fill()
+            >>> arm = giajax.replace(filled.filling.arm, filled.inflation)
+            >>> round(float(arm.links.pressure[0]))
+            713
+        """
+        known = np.asarray(self.filling.arm.links.fullness)
+        # The integrator leaves traces below 0 in bags that nothing has reached.
+        state = np.maximum([self.pressure[-1], known * self.fullness[-1]], 0)
+        return dict(zip((LINKS.pressure.path, LINKS.fullness.path), state, strict=True))
+
+    @property
+    def collapse(self) -> str | None:
+        """Which links end with too little pressure for a muscle at its limit; None: none do."""
+        arm = self.filling.arm
+        muscle = BraidedMuscle() if arm.pneumatics is None else arm.pneumatics.muscle
+        at = (muscle.pressure_limit, jnp.zeros_like(muscle.pressure_limit))
+        pull = float(muscle.force(*at, jnp.full_like(at[1], AT_REST.length.default)))
+        carried = np.asarray(replace(arm, self.inflation).links.end_force)
+        weak = np.flatnonzero(carried < pull)
+        if not weak.size:
+            return None
+        least = int(np.argmin(carried))
+        return (
+            f"{weak.size} of {arm.count} links end with less than the {pull:.1f} N that one muscle "
+            f"pulls with at its limit, and would collapse: p pi r^2 of link {least + 1} is "
+            f"{carried[least]:.1f} N, at {self.pressure[-1, least]:.1f} Pa"
+        )
+
 
 def fill(
     filling: Filling | None = None,
@@ -283,12 +319,6 @@ def fill(
         )
     here, links = made.bag_of_link, made.arm.links
     pressure, fullness, flow, lift = map(np.asarray, _states(made, found))
-    radius, mass = np.asarray(links.diameter) / 2, np.asarray(links.mass)
-    fold = np.pi * radius**3 * pressure[:, here]
-    own = mass * STANDARD_GRAVITY * np.asarray(links.length) / 2
-    with np.errstate(divide="ignore"):
-        load = own / fold
-    without_wrinkles = float(made.skin.stiffness) * np.pi * radius**3
     return Filled(
         filling=made,
         times=np.asarray(found.times),
@@ -298,8 +328,8 @@ def fill(
         supplied=np.asarray(found.supplied) * float(jnp.sum(made.full_mass)),
         flow=flow,
         net_lift=lift,
-        folding_moment=fold,
-        stiffness=without_wrinkles * stiff_share(load),
+        folding_moment=np.pi * (np.asarray(links.diameter) / 2) ** 3 * pressure[:, here],
+        stiffness=bending_stiffness(made.arm, made.skin, pressure[:, here]),
         full=np.asarray(found.full)[here],
         lift_off=np.asarray(found.lifts),
         arm_lift_off=float(found.lifts_all),
@@ -481,7 +511,7 @@ def _strength(filling: Filling, path: str, duration: float, guess: float) -> flo
     return None
 
 
-FILLING_FILES = ("filling.json", "filling.csv", "filling.png")
+FILLING_FILES = ("filling.json", "filling.csv", "filling.png", "inflation.toml")
 CURVE_FILES = ("curve.csv", "curve.png")
 
 _MINUTE, _LITRE_PER_MINUTE = 60.0, 1e-3 / 60
@@ -493,6 +523,7 @@ def filling_files(filled: Filled, curve: FillingCurve | None = None) -> dict[str
         "filling.json": f"{filling_json(filled, curve)}\n".encode(),
         "filling.csv": to_csv(_columns(filled)),
         "filling.png": to_png(filling_figure(filled)),
+        "inflation.toml": inflation_toml(filled).encode(),
     }
     if curve is not None:
         pairs = {
@@ -503,6 +534,15 @@ def filling_files(filled: Filled, curve: FillingCurve | None = None) -> dict[str
         }
         files |= {"curve.csv": to_csv(pairs), "curve.png": to_png(curve_figure(curve))}
     return files
+
+
+def inflation_toml(filled: Filled) -> str:
+    """The filled arm as a definition: pressure and fullness of each link, and all else of it."""
+    arm = replace(filled.filling.arm, filled.inflation)
+    begins, stated = preset_of(arm), arm_to_definition(arm)
+    parameters = {**begins.get("parameters", {}), **stated.get("parameters", {})}
+    section = {**begins, **stated, "parameters": parameters}
+    return to_toml({"schema_version": 1, "model": "arm", "arm": section})
 
 
 def _columns(filled: Filled) -> dict[str, Any]:
@@ -532,11 +572,13 @@ def filling_json(filled: Filled, curve: FillingCurve | None = None) -> str:
         "volume_m3": np.sum(np.asarray(made.volume)),
         "supplied_kg": filled.supplied[-1],
         "imbalance": filled.imbalance,
+        "collapse": filled.collapse,
         "links": {
             f"link{i:02d}": {
                 "full_s": filled.full[i - 1],
                 "lift_off_s": filled.lift_off[i - 1],
                 "largest_pressure_Pa": filled.pressure[:, i - 1].max(),
+                "pressure_Pa": filled.pressure[-1, i - 1],
                 "fullness": filled.fullness[-1, i - 1],
                 "net_lift_kg": filled.net_lift[-1, i - 1],
                 "folding_moment_N_m": filled.folding_moment[-1, i - 1],

@@ -43,6 +43,7 @@ It writes
   filling.json            when each link is full and lifts itself
   filling.csv             fullness, pressure, lift and stiffness over time
   filling.png             the same as a picture
+  inflation.toml          the filled arm, with the pressure of each link
   curve.csv, curve.png    ports and supplies with which it takes 23 min
 
 A definition is a TOML file with an [arm] and a [filling], such as
@@ -133,6 +134,8 @@ def _show(filled: "Filled") -> None:
         why = "the supply is too weak, or has too little"
         typer.echo(f"\nnot full after {filled.times[-1] / 60:.0f} min: {why}")
     say_lift_off(filled.arm_lift_off)
+    if filled.collapse is not None:
+        typer.echo(f"note: {filled.collapse}")
 
 
 def say_lift_off(seconds: float) -> None:

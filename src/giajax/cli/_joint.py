@@ -41,6 +41,8 @@ Examples:
                             your joint, and the pressures for 30 deg
   giajax joint --out joint --set alpha.offset=0.05 --force
                             with another number
+  giajax joint --out joint --set neck.radius=0.04 --force
+                            with a neck of film that bends and folds
 
 \b
 It writes
@@ -113,7 +115,7 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
     values = {} if torque is None else {"joint.torque": [torque]}
     for path, each in typed.items():
         # The joint's own paths need no prefix, as in a fit of a joint.
-        values[path if path.startswith(("joint.", "muscle.")) else f"joint.{path}"] = each
+        values[path if path.startswith(("joint.", "muscle.", "neck.")) else f"joint.{path}"] = each
     pair = with_settings(pair, values)
     check_geometry(pair.joint.geometry)
     return pair

@@ -40,7 +40,8 @@ It writes
   unrolling.json          when the arm is paid out, full, and lifts itself
   unrolling.csv           length, speed, forces and energies over time
   unrolling.png           the same as a picture
-  filling.*               the files of giajax fill, from when it begins
+  filling.*, inflation.toml
+                          the files of giajax fill, from when it begins
 
 A definition is a TOML file with an [arm], a [filling] and an
 [unrolling], such as

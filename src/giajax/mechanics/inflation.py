@@ -13,7 +13,8 @@ from ..runtime.arrays import Array, Float, Scalar, larger, limited
 from ..runtime.text import InputError
 from ..schema import GAS, PORTS, SKIN, SUPPLY, FillingSection
 from ..schema.parameters import declared, inline, parameter, replace
-from .arm import Arm, bodies, takeichi_20m
+from .arm import STANDARD_GRAVITY, Arm, bodies, takeichi_20m
+from .wrinkling import stiff_share
 
 
 class Gas(eqx.Module):
@@ -185,25 +186,21 @@ def inflow(gas: Gas, supply: Supply, pressure: Scalar, supplied: Scalar) -> Scal
 
 Floats = npt.NDArray[np.float64]
 
-_ANGLES = np.linspace(0, np.pi, 4001)[:-1]  # half of the angle of the tube that is in wrinkles
 
+def bending_stiffness(arm: Arm, skin: Skin, pressure: npt.ArrayLike | None = None) -> Floats:
+    """Bending stiffness of each link that bears its own weight from one end, N m^2 (`stiff_share`).
 
-def stiff_share(load: Floats) -> Floats:
-    """Bending stiffness of an inflated membrane tube over that without wrinkles: 0 where it folds.
-
-    Comer and Levy (AIAA Journal 1, 1963): the side that would be compressed wrinkles over the
-    angle 2 t, the rest is stressed in proportion to its distance from the wrinkles, and
-
-        M / (p pi r^3) = (2 (pi - t) + sin 2t) / (4 ((pi - t) cos t + sin t)),
-        M / (curvature E t pi r^3) = 1 - t / pi + sin 2t / (2 pi).
-
-    Wrinkles begin at half of p pi r^3, the unit of `load`, and at p pi r^3 the tube folds.
+    Arguments:
+        pressure: of the links, Pa, shape (..., link); `links.pressure` by default.
     """
-    t = _ANGLES
-    moment = (2 * (np.pi - t) + np.sin(2 * t)) / (4 * ((np.pi - t) * np.cos(t) + np.sin(t)))
-    share = 1 - t / np.pi + np.sin(2 * t) / (2 * np.pi)
-    found: Floats = np.interp(load, moment, share, right=0.0)
-    return found
+    links = arm.links
+    radius, mass = np.asarray(links.diameter) / 2, np.asarray(links.mass)
+    fold = np.pi * radius**3 * np.asarray(links.pressure if pressure is None else pressure)
+    own = mass * STANDARD_GRAVITY * np.asarray(links.length) / 2
+    with np.errstate(divide="ignore"):
+        load = own / fold
+    share: Floats = np.asarray(stiff_share(jnp.asarray(load)))
+    return float(skin.stiffness) * np.pi * radius**3 * share
 
 
 class Ports(eqx.Module):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -10,12 +11,14 @@ from ..schema import (
     AT_REST,
     BASE,
     BRAIDED,
+    EMPIRICAL,
     INITIAL,
     JOINTS,
     LINKS,
     PINHOLE,
     PISTON,
     ArmSection,
+    Declaration,
     MuscleSection,
 )
 from ._plausible_columns import (
@@ -76,6 +79,8 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
     known = arm_values(section)
     links = (LINKS.length, LINKS.mass, LINKS.diameter)
     length, mass, diameter = (known.get(each.path) for each in links)
+    if section.muscles is not None and diameter is not None:
+        yield from _collapse(section, known, diameter)
     floats, gravity = section.preset in PAPER, known.get(BASE.gravity.path)
     if length is None or mass is None:
         return
@@ -118,6 +123,37 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
             )
 
 
+def _collapse(section: ArmSection, known: Mapping[str, Any], diameter: Any) -> Iterator[Oddity]:
+    """Links whose pressure does not bear one muscle at its limit, p pi r^2 < F."""
+
+    def of(each: Declaration) -> Any:
+        return known.get(each.path, each.default)
+
+    if section.muscle_law == "empirical":
+        pull = of(EMPIRICAL.force_limit)
+    else:
+        most = of(BRAIDED.pressure_limit) - of(BRAIDED.dead_band)
+        pull = (
+            of(BRAIDED.effectiveness) * most * _ideal(of(BRAIDED.diameter), of(BRAIDED.braid_angle))
+        )
+    pressure = of(LINKS.pressure)
+    carried = np.ravel(pressure * np.pi / 4 * diameter**2)
+    least = int(np.argmin(carried))
+    if carried[least] < pull:
+        where = f"link {least + 1}" if carried.size > 1 else "each link"
+        yield wrong_constant(
+            f"p pi r^2 of {where} is {carried[least]:.3g} N, at "
+            f"{np.broadcast_to(np.ravel(pressure), carried.shape)[least]:.3g} Pa, less than the "
+            f"{float(pull):.3g} N of one muscle at its pressure limit: the link would collapse",
+            "correct link_pressure_kPa in [arm], or give the muscles a lower pressure_limit",
+        )
+
+
+def _ideal(diameter: Any, angle: Any) -> Any:
+    """Force of an ideal braided muscle that is not contracted, over its pressure, m^2."""
+    return np.pi / 4 * diameter**2 * (3 / np.tan(angle) ** 2 - 1 / np.sin(angle) ** 2)
+
+
 def force(look: Look) -> Iterator[Oddity]:
     """The force of a braided muscle against that of the ideal law, at no contraction."""
     if look.run.model != "muscle" or "force" not in look.measured:
@@ -129,7 +165,7 @@ def force(look: Look) -> Iterator[Oddity]:
         return
     diameter, angle = (float(stated[path]) for path in needed)
     most = float(np.nanmax(pressure))
-    ideal = np.pi / 4 * diameter**2 * (3 / np.tan(angle) ** 2 - 1 / np.sin(angle) ** 2)
+    ideal = _ideal(diameter, angle)
     cells = look.measured["force"]
     size, pressures = np.abs(cells.values), pressure[cells.rows]
     ratio = float(np.quantile(size, 0.95)) / max(ideal * most, 1e-300)

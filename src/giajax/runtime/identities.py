@@ -46,7 +46,8 @@ CLASSES: dict[str, tuple[str, str | None]] = {
     ),
     "arm/_contact:Contact": (
         "mechanics.arm._parts",
-        "obstacles pressure shape_factor damping friction friction_stiffness points",
+        "obstacles pressure=former_pressure shape_factor damping friction friction_stiffness "
+        "points",
     ),
     "arm/_hysteresis:JointHysteresis": ("mechanics.arm._joint_laws", "memory stops"),
     "arm/_joints:Joints": (

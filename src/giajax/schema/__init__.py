@@ -108,6 +108,7 @@ from ._quantities_arm import (
     LANDMARK as LANDMARK,
     LINKS as LINKS,
     MARKER as MARKER,
+    NECK as NECK,
     NO_NEUTRAL as NO_NEUTRAL,
     PINHOLE as PINHOLE,
     POINT_MASSES as POINT_MASSES,

@@ -457,6 +457,28 @@ class ArmSection(_Surroundings):
         example={"air.added_mass_coefficient": 1.0},
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _earlier_names(cls, data: Any) -> Any:
+        """Files of earlier versions have other names of keys and paths."""
+        if not isinstance(data, Mapping):
+            return data
+        parts = [part for several in cls.quantities.values() for part in several if part.earlier]
+        now = {part.key.earlier: part.key.name for part in parts if part.key is not None}
+        for before, name in now.items():
+            if before in data and name in data:
+                raise ValueError(f"states {name} twice, {before} being its earlier name: remove it")
+        data = {now.get(name, name): value for name, value in data.items()}
+        if isinstance(data.get("parameters"), Mapping):
+            paths = {part.earlier: part.path for part in parts}
+            table = flat(data["parameters"])
+            data["parameters"] = {
+                paths.get(name, name) + bracket + index: value
+                for path, value in table.items()
+                for name, bracket, index in [path.partition("[")]
+            }
+        return data
+
     @field_validator("parameters", mode="before")
     @classmethod
     def _unquoted_paths_are_paths(cls, table: Any) -> Any:

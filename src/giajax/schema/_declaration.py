@@ -195,6 +195,7 @@ class Key:
         remark: added to the sentence of what the value must be.
         place: of the quantity in the list of numbers, where several share the key: x, then y.
         meaning: of a key that several quantities share.
+        earlier: what the key was called before; files may have that name.
     """
 
     name: str
@@ -206,6 +207,7 @@ class Key:
     remark: str = ""
     place: int | None = None
     meaning: str = ""
+    earlier: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -235,6 +237,7 @@ class Declaration:
         source: where the default is from, or the equation that the parameter stands in.
         key: how files state it; None: by its path alone.
         path: in a model, such as `links.mass`; "" for a parameter that is in no group.
+        earlier: what the path was before; files and `replace` may have that name.
     """
 
     default: float
@@ -256,6 +259,7 @@ class Declaration:
     source: str = ""
     key: Key | None = None
     path: str = ""
+    earlier: str = ""
 
     def keyed(self, name: str, **about: Any) -> "Declaration":
         """The same with a key by which files state it, and what is said `about` a `Key`."""

@@ -52,6 +52,13 @@ class _Links(Group):
         "displaced volume of a link over that of the cylinder of its length and diameter",
         per="link",
     )
+    pressure = guess(
+        1000.0,
+        "Pa",
+        "gauge pressure of the gas in a link",
+        earlier="contact.pressure",
+        **EACH_LINK,
+    ).keyed("link_pressure_kPa", closed=True, earlier="contact_pressure_kPa")
 
 
 class _Base(Group):
@@ -306,9 +313,6 @@ NO_NEUTRAL = (LINKS.length, LINKS.diameter, LINKS.mass,
 
 
 class _Contact(Group):
-    pressure = guess(
-        1000.0, "Pa", "gauge pressure in a link, which presses where it is flattened", **EACH_LINK
-    ).keyed("contact_pressure_kPa")
     shape_factor = positive(
         np.pi,
         "",
@@ -499,6 +503,16 @@ class _Skin(Group):
     ).keyed("skin_slack")
 
 
+class _Neck(Group):
+    radius = Declaration(
+        0.05, "m", "radius of the neck in a joint", lower=0, optional=True, assumed=True
+    )
+    length = guess(0.02, "m", "length of film that bends in the neck")
+    film_stiffness = guess(_Skin.stiffness.default, "N/m", "modulus times thickness of its film")
+    # That of links, which gas passes to.
+    pressure = guess(_Links.pressure.default, "Pa", "gauge pressure of the gas in the neck")
+
+
 class _Ports(Group):
     diameter = guess(
         0.01, "m", "diameter of the port between two bags", per="port", each=True
@@ -574,6 +588,7 @@ class _Hand(Group):
 
 GAS = _Gas("gas")
 SKIN = _Skin("skin")
+NECK = _Neck("neck")
 PORTS = _Ports("ports")
 SUPPLY = _Supply("supply")
 ROLL = _Roll("roll")

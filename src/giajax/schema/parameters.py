@@ -301,6 +301,16 @@ def _element(getter: Callable[[Any], Any], index: int | str) -> Callable[[Any], 
     return lambda root: getter(root)[index]
 
 
+def present_path(model: eqx.Module, path: str) -> str:
+    """What a path of an earlier version is now, of a parameter that the model has; or itself."""
+    name, bracket, index = path.partition("[")
+    known = _by_path(model)
+    if not name or name in known:
+        return path
+    now = (here for here, parameter in known.items() if parameter.declaration.earlier == name)
+    return f"{next(now, name)}{bracket}{index}"
+
+
 _PATH = re.compile(r"(?P<name>[A-Za-z_][\w.]*?)(?:\[(?P<index>[0-9]{1,9})\])?\Z", re.ASCII)
 
 
@@ -314,6 +324,7 @@ def find(model: eqx.Module, path: str) -> Parameter:
             beyond its length.
     """
     known = declared(model)
+    path = present_path(model, path)
     match = _PATH.match(path)
     name = match["name"] if match else path
     if match is None or name not in known:

@@ -7,7 +7,6 @@ import pytest
 from fluids.compressible import P_critical_flow, T_critical_flow
 from fluids.safety_valve import API520_A_g
 from scipy.constants import R
-from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from giajax import replace, takeichi_20m
@@ -22,7 +21,6 @@ from giajax.mechanics.inflation import (
     critical_ratio,
     inflow,
     mass_flow,
-    stiff_share,
 )
 
 HELIUM = Gas()
@@ -138,27 +136,6 @@ def test_the_skin_stretches_as_a_thin_tube_does():
     hoop, along = p * r, p * r / 2
     volume = (1 + (hoop - nu * along) / et) ** 2 * (1 + (along - nu * hoop) / et)
     assert p / float(filling.stretch[0]) == pytest.approx(volume - 1, rel=2e-3)
-
-
-@pytest.mark.quick
-@pytest.mark.parametrize("wrinkled", [0.0, 0.5, 1.5, 2.5])
-def test_wrinkles_take_stiffness_as_in_comer_and_levy(wrinkled):
-    """By quadrature of stresses that vanish over the wrinkled part, and balance the pressure."""
-
-    def stress(t):
-        return np.cos(wrinkled) - np.cos(t)
-
-    force = 2 * quad(stress, wrinkled, np.pi)[0]
-    moment = -2 * quad(lambda t: stress(t) * np.cos(t), wrinkled, np.pi)[0]
-    # With radius, E t and curvature 1: the pressure is force / pi, and M / curvature the moment.
-    load = moment / force
-    assert float(stiff_share(np.array(load))) == pytest.approx(moment / np.pi, abs=1e-6)
-    assert 0.5 <= load < 1
-
-
-@pytest.mark.quick
-def test_a_tube_folds_and_a_tight_one_has_no_wrinkles():
-    np.testing.assert_allclose(stiff_share(np.array([0.0, 0.5, 1.0, 3.0])), [1, 1, 0, 0])
 
 
 def test_a_supply_feeds_what_its_nozzle_lets_through():

@@ -157,7 +157,7 @@ def test_the_air_has_its_speed():
 def test_what_is_no_mission_is_refused(changes, sentence):
     if changes == {"arm__obstacles": []}:
         # Without obstacles, what is said of contact is refused first.
-        changes |= {"arm__contact_pressure_kPa": None, "arm__contact_friction": None}
+        changes |= {"arm__link_pressure_kPa": None, "arm__contact_friction": None}
     with pytest.raises(InputError, match=sentence):
         mission(**changes)
 

@@ -15,6 +15,7 @@ from giajax import InputError
 from giajax.mechanics import arm as mechanics
 from giajax.mechanics.arm import Contact, Pairs, flattening, mass_matrix, pose, takeichi_20m
 from giajax.mechanics.obstacles import Box, Plane, WallWithOpening, nearest, solids
+from giajax.schema.parameters import replace
 
 touch, touched = jax.jit(mechanics.touch), jax.jit(mechanics.touched)
 contact_energy = jax.jit(mechanics.contact_energy)
@@ -29,8 +30,9 @@ SCENE = (
 )
 
 
-def arm_among(obstacles=SCENE, links=LINKS, **about):
-    return takeichi_20m(links, contact=Contact(obstacles=obstacles, **about))
+def arm_among(obstacles=SCENE, links=LINKS, pressure=1000.0, **about):
+    contact = Contact(obstacles=obstacles, **about)
+    return takeichi_20m(links, contact=contact, parameters={"links.pressure": pressure})
 
 
 @eqx.filter_jit
@@ -165,8 +167,8 @@ def test_derivatives_by_pressure_and_by_where_the_wall_stands():
     def of(pressure, height, q):
         up = jnp.array([0.0, 0.0, 1.0]) * height
         scene = tuple(dataclasses.replace(each, centre=each.centre + up) for each in SCENE)
-        contact = dataclasses.replace(arm.contact, obstacles=scene, pressure=pressure)
-        moved = dataclasses.replace(arm, contact=contact)
+        contact = dataclasses.replace(arm.contact, obstacles=scene)
+        moved = replace(dataclasses.replace(arm, contact=contact), {"links.pressure": pressure})
         return jnp.sum(touch(moved, q, jnp.zeros(links)).torque * jnp.arange(1.0, 1 + links))
 
     @jax.jit

@@ -17,7 +17,7 @@ from ...runtime.arrays import Array, Bool, Float, Int, Scalar
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import MissionSection
-from ...schema.parameters import replace
+from ...schema.parameters import present_path, replace
 from ...simulation import Moment, Stepper, Trajectory
 from ..synthetic import command_columns, driven_run, gusts, logged_motion
 from ._controller import AbstractController, Opening, Picture, Scene, opening_of
@@ -457,7 +457,8 @@ class Mission:
 
     def case(self, seed: int) -> Self:
         """The mission with another arm: parameters of `[mission.spread]`, which it has, drawn."""
-        spread = self.section.spread or {}
+        stated = self.section.spread or {}
+        spread = {present_path(self.model, path): of for path, of in stated.items()}
         values = parameter_values(self.model)
         unknown = next((path for path in spread if path not in values), None)
         if unknown is not None:

@@ -25,6 +25,18 @@ from ._contenders import (
     relative_error as relative_error,
     stand_in as stand_in,
 )
+from ._explanations import (
+    EXPLANATIONS as EXPLANATIONS,
+    Explained as Explained,
+    Searched as Searched,
+    at_pressure as at_pressure,
+    collapse_pressure as collapse_pressure,
+    collapse_radius as collapse_radius,
+    explained as explained,
+    explanations_figure as explanations_figure,
+    likelihood as likelihood,
+    misfit as misfit,
+)
 from ._files import (
     FIGURES as FIGURES,
     is_reproduction_page as is_reproduction_page,

@@ -1,6 +1,6 @@
 """Figs 6, 9, 10 and 12 of the paper: one joint, its muscles and its hysteresis."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -24,6 +24,15 @@ from ._arm_figures import (
     solid_and_dotted,
 )
 from ._contenders import Reproduced, Sources
+from ._explanations import (
+    PRESSURES,
+    Explained,
+    at_pressure,
+    collapse_pressure,
+    collapse_radius,
+    explained,
+    likelihood,
+)
 
 JOINTS = {1: VERMILLION, 3: BLUE, 5: GREEN}
 STEP_FOR = 1.0
@@ -151,14 +160,15 @@ def fig09_or_10(number: int) -> Reproduced:
 _FIG12_SOURCES = Sources(
     printed=f"the history (60, -60, 0{DEGREE} twice, 1{DEGREE} every 5 or 20 s), eq. (12), the "
     "offsets that make the mean error least, and the errors in the table.",
-    assumed=f"over how much travel xi goes from 0 to 1: 40{DEGREE}.",
+    assumed=f"over how much travel xi goes from 0 to 1: 40{DEGREE}; of the explanations the "
+    "geometry, the muscles, and the film and gas (1 kPa) of the neck.",
     reconstructed="the link: a simulated joint that snaps through 0 and is hysteretic. The inverse "
     "operator and the second history are giajax's.",
 )
 
 
 def fig12(progress: Callable[[str], None] | None = None) -> Reproduced:
-    """Fig. 12, and the errors that the text gives."""
+    """Fig. 12, the errors that the text gives, and what may be behind them."""
     study = one_link(progress=progress)
     # By compensation what the text says of the largest error, of the mean, and of its share.
     said = {
@@ -166,16 +176,65 @@ def fig12(progress: Callable[[str], None] | None = None) -> Reproduced:
         "branches": ("eq. (12)", "almost the same", "-", "less than 0.5"),
         "inverse": ("inverse operator", "-", "-", "-"),
     }
-    without, rows = study.trial("paper", "none").mean, []
+    without, rows = study.trial("paper", "none"), []
     for name, (label, largest, mean, share) in said.items():
         trial = study.trial("paper", name)
-        here = trial.mean / without
-        rows.append((label, largest, trial.largest, mean, trial.mean, share, here))
+        here = trial.mean / without.mean
+        shown = (largest, trial.largest, mean, trial.mean, share, here, "-", "-", "-")
+        rows.append((label, *shown))
+    (progress or (lambda text: None))("what the loop says of pair and links")
+    measured = without.history.measured
+    found = explained(without.angles[measured])
+    rows += _explanation_rows(found, without.angles[measured])
     headings = (
-        *("compensation", "largest error in the paper, deg", "here"),
+        *("compensation, or explanation", "largest error in the paper, deg", "here"),
         *("mean error in the paper, deg", "here", "of that without, in the paper", "here"),
+        *("13 deg gives, deg (30)", "chi-square of the text", "log-likelihood of the loop"),
     )
     figure = figure_12(study)
     title = "Fig. 12: one link, measured against target angles (a simulated joint)"
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
-    return Reproduced(title, _FIG12_SOURCES, figure, headings, tuple(rows), one_link_table(study))
+    columns = one_link_table(study)
+    facts = {"explanations": _explanation_facts(found)}
+    return Reproduced(title, _FIG12_SOURCES, figure, headings, tuple(rows), columns, facts)
+
+
+def _explanation_rows(
+    found: Mapping[str, tuple[Explained, Explained]], loop: np.ndarray
+) -> list[tuple[Any, ...]]:
+    """What is nearest to the text, its loop at three pressures, and what gives way at all."""
+
+    def row(label: str, one: Explained, *judged: Any) -> tuple[Any, ...]:
+        said = {name: round(value, 1) for name, value in one.said.items()}
+        errors = ("about 30", said["largest"], "about 11", said["mean"], "-", "-", said["at 13"])
+        return (label, *errors, *judged)
+
+    most = max(likelihood(liked.angles, loop) for _, liked in found.values())
+    rows = []
+    for name, (nearest, liked) in found.items():
+        less = likelihood(liked.angles, loop) - most
+        rows.append(row(f"{name}: {nearest.needs}", nearest, nearest.misfit, less))
+    for name, (nearest, _) in found.items():
+        for pressure in PRESSURES:
+            label = f"{name}, with {pressure / 1e3:g} kPa"
+            rows.append(row(label, at_pressure(nearest, pressure), "-", "-"))
+    return rows
+
+
+# Of a link of the arm, and what one muscle puts on it: m, N m, N.
+_LINK_RADIUS, _TORQUE, _PRESSED = 0.15, 0.3, (2.0, 4.0)
+
+
+def _explanation_facts(found: Mapping[str, tuple[Explained, Explained]]) -> dict[str, Any]:
+    """What each explanation needs, and where a tube collapses under one muscle."""
+    pressures = [collapse_pressure(_LINK_RADIUS, _TORQUE, force) for force in _PRESSED]
+    radii = [collapse_radius(1e3, _TORQUE, force) for force in _PRESSED]
+    needs = {
+        name: {"of the text": nearest.needs, "of the loop": liked.needs}
+        for name, (nearest, liked) in found.items()
+    }
+    return {
+        "needed": needs,
+        "collapse_of_a_link_of_150_mm_radius_Pa": pressures,
+        "collapse_at_1_kPa_radius_m": radii,
+    }

@@ -567,8 +567,12 @@ def _laws_of(laws: Sequence[str | AbstractJointLaw]) -> dict[str, AbstractJointL
     return dict(sorted(named.items()))
 
 
-# What of a link has no argument of its own.
-_OTHERS = [name for name in Links.__dataclass_fields__ if name not in signature(chain).parameters]
+# What of a link has no argument of its own, and is an array.
+_OTHERS = [
+    name
+    for name in Links.__dataclass_fields__
+    if name not in signature(chain).parameters and not declaration(Links, name).each
+]
 
 
 def _tensors(inertia: Any, links: int) -> np.ndarray:

@@ -60,7 +60,7 @@ def meeting(arm: Arm, contact: Contact, here: Pose, rates: PerJoint, pairs: Pair
     lines, frame = _lines(arm, contact, here, pairs)
     places, sizes = np.polynomial.legendre.leggauss(contact.points)
     nodes, weights = (jnp.asarray(x / 2, lines.start.dtype) for x in (1 + places, sizes))
-    line = contact.line(arm.count)[pairs.link, None]
+    line = contact.line(arm.links)[pairs.link, None]
 
     def flat(pieces: Float[Array, "pair piece point"]) -> Numbers:
         return pieces.reshape(len(pieces), -1)

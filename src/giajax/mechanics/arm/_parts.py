@@ -152,9 +152,11 @@ class Links(eqx.Module):
     inertia_transverse: Float[Array, " link"] = parameter(LINKS.inertia_transverse)
     inertia_axial: Float[Array, " link"] = parameter(LINKS.inertia_axial)
     fullness: Float[Array, " link"] = parameter(LINKS.fullness)
+    pressure: Float[Array, ""] | Float[Array, " link"] = parameter(LINKS.pressure)
 
     def __check_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in self.__dataclass_fields__}
+        shapes -= {()} if self.pressure.shape == () else set()
         if len(shapes) != 1 or len(next(iter(shapes))) != 1:
             raise InputError(
                 f"the arrays of Links have shapes {sorted(shapes)}: "
@@ -170,6 +172,11 @@ class Links(eqx.Module):
     def volume(self) -> Float[Array, " link"]:
         """Air that each link displaces, m^3."""
         return np.pi / 4 * self.diameter**2 * self.length * self.fullness
+
+    @property
+    def end_force(self) -> Float[Array, " link"]:
+        """Force of the pressure on the end of each link, p pi r^2, N: what pulls more folds it."""
+        return self.pressure * np.pi / 4 * self.diameter**2
 
 
 class Joints(eqx.Module):
@@ -385,7 +392,6 @@ class Contact(eqx.Module):
 
     Arguments:
         obstacles: what stands around the arm, at least one.
-        pressure: gauge pressure in the links, Pa; one number, or one each.
         shape_factor: force over pressure, length and penetration.
         damping: s/m; a closing contact presses (1 + damping times closing speed) times as hard
             (Hunt and Crossley, J. Appl. Mech. 42 (1975) 440), an opening one softer, and none
@@ -399,7 +405,6 @@ class Contact(eqx.Module):
     """
 
     obstacles: tuple[AbstractObstacle, ...]
-    pressure: Float[Array, ""] | Float[Array, " link"] = parameter(CONTACT.pressure)
     shape_factor: Scalar = parameter(CONTACT.shape_factor)
     damping: Scalar = parameter(CONTACT.damping)
     friction: Scalar | None = parameter(CONTACT.friction)
@@ -420,13 +425,18 @@ class Contact(eqx.Module):
             )
 
     @property
+    def former_pressure(self) -> Scalar:
+        """What counts in keys of tasks for the pressure, which is of the links now."""
+        return jnp.asarray(LINKS.pressure.default, jnp.result_type(float))
+
+    @property
     def rows(self) -> int:
         """States of each link."""
         return 0 if self.friction is None else 3
 
-    def line(self, links: int) -> Float[Array, " link"]:
-        """Force of each metre of so many links over its penetration, N/m^2."""
-        return self.shape_factor * jnp.broadcast_to(self.pressure, (links,))
+    def line(self, links: Links) -> Float[Array, " link"]:
+        """Force of each metre of links over its penetration, by their pressure, N/m^2."""
+        return self.shape_factor * jnp.broadcast_to(links.pressure, (links.count,))
 
     def hold(
         self, strain: Float[Array, "3 link"], normal: Float[Array, " link"]

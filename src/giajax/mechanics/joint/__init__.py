@@ -16,6 +16,7 @@ from ._geometry import (
     is_possible as is_possible,
     muscle_path as muscle_path,
 )
+from ._history import slow_history as slow_history
 from ._muscle import (
     MUSCLE_LAWS as MUSCLE_LAWS,
     NEEDS_PRESSURE as NEEDS_PRESSURE,
@@ -34,6 +35,7 @@ from ._pair import (
     PairCommand as PairCommand,
     Spring as Spring,
     commanded as commanded,
+    compression as compression,
     joint_spring as joint_spring,
     muscle_torques as muscle_torques,
     net_torque as net_torque,

@@ -19,8 +19,17 @@ import numpy.typing as npt
 from ...runtime.arrays import Array, Bool, Float, Int, Scalar, bisect
 from ...runtime.programs import program
 from ...runtime.text import InputError
+from ..wrinkling import stretching
 from ._geometry import BRANCHES, LARGEST_ANGLE, branch_angles, check_geometry, muscle_path
-from ._pair import JointPair, OneSide, checked_pressures, correction_slope, side_slope, side_torque
+from ._pair import (
+    JointPair,
+    OneSide,
+    checked_pressures,
+    compression,
+    correction_slope,
+    side_slope,
+    side_torque,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -201,7 +210,8 @@ def equilibria(
         load: torque from outside, towards negative angles, N m.
 
     Raises:
-        InputError: pressures that are not two numbers of at least 0, or an impossible geometry.
+        InputError: pressures that are not two numbers of at least 0, an impossible geometry, or a
+            neck that the muscles crush in the straight joint.
 
     Example:
         >>> import numpy as np
@@ -217,6 +227,7 @@ def equilibria(
     if not bool(jnp.isfinite(load)):
         raise InputError("the load is not finite: give a torque in N m")
     check_geometry(pair.joint.geometry)
+    _check_neck(pair, pressures)
     sides = {}
     for ahead in (False, True):
         nodes = jnp.asarray(angles_to_search(pair, ahead), dtype=pressures.dtype)
@@ -231,6 +242,18 @@ def equilibria(
         at_upper_stop=bool(sides[True].last > 0),
         indifferent=any(idle),
     )
+
+
+def _check_neck(pair: JointPair, pressures: Array) -> None:
+    if pair.neck.radius is None:
+        return
+    pressed = compression(pair, pressures, jnp.zeros(()), jnp.asarray(True))
+    if not bool(stretching(pair.neck, pressed) > 0):
+        raise InputError(
+            f"the muscles press the straight joint together by {float(pressed):.3g} N, and the gas "
+            f"in its neck holds {float(pressed + stretching(pair.neck, pressed)):.3g} N: make "
+            "neck.pressure or neck.radius larger"
+        )
 
 
 def _listed(roots: Roots, ahead: bool) -> list[Equilibrium]:

@@ -13,6 +13,7 @@ from ...runtime.arrays import Array, Bool, Float, Scalar, polish
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema.parameters import is_concrete
+from ..wrinkling import Neck, neck_moment
 from ._geometry import LARGEST_ANGLE, Bend, Shaped, check_geometry
 from ._muscle import AbstractMuscle, BraidedMuscle, PressureAnswer
 from ._statics import (
@@ -35,10 +36,12 @@ class JointPair(eqx.Module):
     Arguments:
         joint: geometry and corrections, of either side.
         muscle: the law of both muscles.
+        neck: of film between the links, which is bent and pressed together; none by default.
     """
 
     joint: Joint = eqx.field(default_factory=Joint)
     muscle: AbstractMuscle = eqx.field(default_factory=BraidedMuscle)
+    neck: Neck = eqx.field(default_factory=Neck)
 
     @property
     def length(self) -> Scalar:
@@ -161,7 +164,8 @@ def net_torque(
 ) -> Shaped:
     """Torque towards positive angles that two pressures leave over, N m: 0 in equilibrium.
 
-    The corrections resist the bending: alpha - beta, towards 0, whichever side is bent to.
+    The corrections resist the bending: alpha - beta, towards 0, whichever side is bent to; and so
+    does the neck, where there is one.
 
     Arguments:
         pressures: of the first and the second muscle, Pa, the same at all angles or each with a
@@ -171,27 +175,58 @@ def net_torque(
         ahead: whether the first muscle is the inner one; what decides at 0.
     """
     first, second = muscle_torques(pair, pressures, angle, ahead)
-    return first - second - resistance(pair.joint.correction, angle, ahead) - load
+    torque = first - second - resistance(pair.joint.correction, angle, ahead) - load
+    if pair.neck.radius is None:
+        return torque
+    return torque - neck_moment(pair.neck, angle, compression(pair, pressures, angle, ahead))
 
 
 def muscle_torques(
     pair: JointPair, pressures: Float[Array, "2 ..."], angle: Shaped, ahead: Array
 ) -> Float[Array, "2 *shape"]:
     """Torque of each muscle of a pair towards its own side, N m; arguments as of `net_torque`."""
+    inner, outer = (pull.force * pull.lever for pull in _pulls(pair, pressures, angle, ahead))
+    return jnp.stack([jnp.where(ahead, inner, outer), jnp.where(ahead, outer, inner)])
+
+
+def compression(
+    pair: JointPair, pressures: Float[Array, "2 ..."], angle: Shaped, ahead: Array
+) -> Shaped:
+    """Force with which both muscles press the links of a joint together, N.
+
+    On the bisector a muscle, with its wire, is a force along the links at the height where it
+    crosses it: its torque over that height. Arguments as of `net_torque`.
+    """
+    inner, outer = _pulls(pair, pressures, angle, ahead)
+    return inner.force * inner.lever / inner.height + outer.force * outer.lever / outer.height
+
+
+class _Pull(NamedTuple):
+    """Tension of a muscle, N, its lever about the joint, and its height on the bisector, m."""
+
+    force: Shaped
+    lever: Shaped
+    height: Shaped
+
+
+def _pulls(
+    pair: JointPair, pressures: Float[Array, "2 ..."], angle: Shaped, ahead: Array
+) -> tuple[_Pull, _Pull]:
+    """Of the inner and of the outer muscle."""
     # One of both is the inner muscle: each side is worked out once, for whichever it is.
     bend = Bend.by(jnp.where(ahead, angle, -angle))
     pressure = pressures.reshape(pressures.shape + (1,) * (angle.ndim + 1 - pressures.ndim))
     first, second = jnp.broadcast_to(pressure, (2, *angle.shape))
-    inner = _torque(pair, jnp.where(ahead, first, second), inner_tension(pair.joint.geometry, bend))
-    outer = _torque(
-        pair, jnp.where(ahead, second, first), outer_tension(pair.joint.geometry, bend.back)
-    )
-    return jnp.stack([jnp.where(ahead, inner, outer), jnp.where(ahead, outer, inner)])
+    geometry = pair.joint.geometry
+    inner = _pull(pair, jnp.where(ahead, first, second), inner_tension(geometry, bend))
+    outer = _pull(pair, jnp.where(ahead, second, first), outer_tension(geometry, bend.back))
+    return inner, outer
 
 
-def _torque(pair: JointPair, pressure: Shaped, unit: Tension) -> Shaped:
+def _pull(pair: JointPair, pressure: Shaped, unit: Tension) -> _Pull:
     contraction = 1 - unit.path.length / pair.length
-    return pair.muscle.force(pressure, contraction, pair.length) * unit.lever
+    force = pair.muscle.force(pressure, contraction, pair.length)
+    return _Pull(force, unit.lever, unit.path.height)
 
 
 class OneSide(NamedTuple):

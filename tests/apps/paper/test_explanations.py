@@ -1,0 +1,53 @@
+"""What fig. 12 says: explanations that are told apart, and what collapses under one muscle."""
+
+import numpy as np
+import pytest
+
+from giajax.apps.paper import (
+    EXPLANATIONS,
+    Explained,
+    Searched,
+    at_pressure,
+    collapse_pressure,
+    collapse_radius,
+    explained,
+    misfit,
+)
+
+SEARCHED = Searched(np.array([0.02, 0.05]), np.array([0.034, 0.038]), np.array([0.02]))
+TRUTH = Explained("both", 0.05, 0.034, 0.02, np.empty(0))
+
+
+@pytest.mark.quick
+def test_what_collapses_under_one_muscle():
+    """0.3 N m and 2 to 4 N: a link of 150 mm by its pressure, and a neck at 1 kPa by its radius."""
+    pressures = [collapse_pressure(0.15, 0.3, force) for force in (2.0, 4.0)]
+    radii = [collapse_radius(1e3, 0.3, force) for force in (2.0, 4.0)]
+    assert np.allclose(pressures, [56.6, 84.9], atol=0.05)
+    assert np.allclose(radii, [0.0503, 0.0549], atol=5e-5)
+    for radius, force in zip(radii, (2.0, 4.0), strict=True):
+        assert collapse_pressure(radius, 0.3, force) == pytest.approx(1e3)
+
+
+def test_explanations_are_told_apart():
+    """By a noisy loop of one of them, which is found with its parameters."""
+    seen = at_pressure(TRUTH, 1e3).angles
+    loop = seen + np.random.default_rng(0).normal(0, 2.0, seen.shape)
+    found = explained(loop, SEARCHED)
+    assert set(found) == set(EXPLANATIONS)
+    liked = {name: np.std(loop - one.angles) for name, (_, one) in found.items()}
+    assert liked["both"] < 2.3 < 5 < liked["the pair alone"]
+    assert min(liked, key=liked.get) == "both"
+    both = found["both"][1]
+    assert (both.friction, both.radius) == (0.05, 0.034)
+
+
+def test_gas_moves_a_neck_and_not_the_pair():
+    """The experiment: the same joint at three pressures."""
+    pair = Explained("the pair alone", 0.05, None, None, np.empty(0))
+    same = [at_pressure(pair, p).angles for p in (800.0, 1500.0)]
+    assert np.array_equal(*same)
+    errors = [at_pressure(TRUTH, p).said["mean"] for p in (800.0, 1500.0)]
+    assert errors[0] - errors[1] > 2
+    # What the text says of the pair alone: too large an error for its mean.
+    assert misfit(same[0]) > 20
