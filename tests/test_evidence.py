@@ -363,6 +363,26 @@ def test_the_tip_is_held_in_moving_air():
 
 
 @pytest.mark.quick
+def test_the_tip_is_steered_in_sooner_more_often_and_with_fewer_touches():
+    """Than by the operator, who was retuned, in the same arms and air."""
+    size, figures = figures_of("steering")
+    for kind, least in (("on the level", (70, 70)), ("along the line", (70, 68))):
+        rows = {(row["driver"], row["wind_m_per_s"]): row for row in figures[kind]}
+        for wind, inside in zip((0.2, 0.3), least, strict=True):
+            mpc, operator = rows["mpc", wind], rows["operator, retuned", wind]
+            assert mpc["cases"] == operator["cases"] == size == 72
+            assert mpc["inside"] >= max(inside, operator["inside"])
+            assert mpc["median_s"] <= 110 < operator["median_s"]
+            assert mpc["touched"] <= operator["touched"] / 2
+        alike, known = (
+            rows[f"mpc{name}, 200 s", 0.2]["median_s"]
+            for name in (", some of these", " that knows all")
+        )
+        assert alike <= 1.3 * known
+    assert sum(figures[kind][2]["inside"] for kind in figures) >= 142
+
+
+@pytest.mark.quick
 def test_the_operator_reaches_the_opening():
     """Both readings of the 14 m: at 0.2 m/s in 90 % at least; and no link is pressed flat."""
     size, figures = figures_of("missions")

@@ -23,6 +23,15 @@ def written(tmp_path_factory):
 
 
 @pytest.mark.slow
+def test_a_neck_of_the_help_is_drawn_and_one_that_muscles_crush_is_refused(tmp_path, capsys):
+    assert main(["joint", "--out", str(tmp_path), "--set", "neck.radius=0.06"]) == 0
+    stiffest = max(float(row["stiffness_N_m_per_rad"]) for row in rows(tmp_path / "equilibria.csv"))
+    assert stiffest > 100  # the straight neck, tight
+    assert main(["joint", "--out", str(tmp_path / "no"), "--set", "neck.radius=0.01"]) != 0
+    assert "make neck.pressure or neck.radius larger" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_it_draws_and_writes_the_numbers(written):
     for name in PICTURES:
         assert (written / name).read_bytes().startswith(b"\x89PNG")

@@ -214,3 +214,23 @@ def test_a_cantilever_follows_measured_loads(bar):
     assert fitted.fun < 0.1
     # It bears what is measured at its collapse, which no E t has a say in, to 20 %.
     assert loads[-1] / (float(force) * radius) == pytest.approx(0.87, abs=0.08)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_near_collapse_and_without_a_force_nothing_is_lost(dtype):
+    """1 - M / (N r) is d^2 / 10 of the tight angle d, and M / (E t r^3 k) goes to 2 d^3 / 3."""
+    loads = jnp.asarray(1 - np.logspace(-16, -0.31, 300), dtype)
+    shares = np.asarray(stiff_share(loads))
+    assert np.all(np.isfinite(shares) & (shares >= 0))
+    assert np.all(np.diff(shares) >= -1e-6)
+    angle = dtype(0.05)
+    near = stiff_share(jnp.asarray(1 - angle**2 / 10, dtype))
+    assert_allclose(np.pi * near, 2 * angle**3 / 3, rtol=2e-3)
+    tube = Tube(jnp.asarray(0.1, dtype), jnp.asarray(1e4, dtype))
+    force = jnp.asarray(20.0, dtype)
+    far = moment(tube, jnp.asarray(1e7, dtype), force)
+    assert_allclose(far, 2.0, rtol=1e-3)
+    crushed = jnp.asarray(-1.0, dtype)
+    assert np.isinf(curvature(tube, jnp.asarray(0.1, dtype), crushed))
+    assert curvature(tube, jnp.asarray(0.0, dtype), crushed) == 0
+    assert jax.grad(lambda bend: moment(tube, bend, crushed))(jnp.asarray(0.0, dtype)) == 0

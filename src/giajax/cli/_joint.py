@@ -41,7 +41,7 @@ Examples:
                             your joint, and the pressures for 30 deg
   giajax joint --out joint --set alpha.offset=0.05 --force
                             with another number
-  giajax joint --out joint --set neck.radius=0.04 --force
+  giajax joint --out joint --set neck.radius=0.06 --force
                             with a neck of film that bends and folds
 
 \b

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from scipy.special import factorial
 
 from ..runtime.arrays import Array, Float, Scalar, larger, limited
 from ..schema import NECK
@@ -15,6 +17,11 @@ from ..schema.parameters import parameter
 Numbers = Float[Array, "..."]
 
 _STEPS = 4  # of Newton's method, after which an angle is exact to rounding from these guesses
+_SMALL = 0.5  # rad, below which functions of an angle are series
+# Of sin d - d cos d and d - sin d cos d over d^3, by powers of d^2 with the highest first.
+_ODD = 2 * np.arange(9, 0, -1) + 1
+_SIGNS = (-1.0) ** (_ODD // 2 + 1) / factorial(_ODD)
+_STRETCHED, _BENT = _SIGNS * (_ODD - 1), _SIGNS * 2.0 ** (_ODD - 1)
 
 
 class Tube(NamedTuple):
@@ -77,7 +84,10 @@ def energy(tube: Tube, curvature: Numbers, force: Numbers) -> Numbers:
 
 def curvature(tube: Tube, moment: Numbers, force: Numbers) -> Numbers:
     """Curvature under a moment, 1/m: the inverse of `moment`; infinite from N r on."""
-    load = jnp.abs(moment) / (force * tube.radius)
+    most = force * tube.radius
+    # Without a force it folds under any moment.
+    without = jnp.where(jnp.abs(moment) > 0, jnp.inf, 0.0)
+    load = jnp.where(most > 0, jnp.abs(moment) / jnp.where(most > 0, most, 1), without)
     share = stiff_share(load)
     stiffness = jnp.pi * tube.film_stiffness * tube.radius**3 * share
     folded = share <= 0
@@ -133,8 +143,8 @@ def _tight(tube: Tube, curvature: Numbers, force: Numbers) -> tuple[Numbers, Num
     """Half-angle of the tight part of a section, rad, and strain at its centre."""
     size, force = jnp.abs(curvature), larger(force, 0)
     stretch = force / (2 * tube.film_stiffness * tube.radius)
-    whole = size * tube.radius * jnp.pi <= stretch
-    share = jnp.where(whole, jnp.pi, stretch / jnp.where(whole, 1, size * tube.radius))
+    whole = (size * tube.radius * jnp.pi <= stretch) & (stretch > 0)
+    share = jnp.where(whole, jnp.pi, stretch / jnp.where(size > 0, size * tube.radius, 1))
     root = jnp.cbrt(jnp.where(share > 0, share, 1) / jnp.pi)
     guess = _guess(root, 6**0.5, (3 * jnp.pi) ** (1 / 3))
     angle = jnp.where(share > 0, _root(_stretched, share, guess), 0)
@@ -143,17 +153,34 @@ def _tight(tube: Tube, curvature: Numbers, force: Numbers) -> tuple[Numbers, Num
 
 def _stretched(angle: Array) -> Array:
     """N / (2 E t r^2 k) of a half-angle."""
-    return jnp.sin(angle) - angle * jnp.cos(angle)
+    return angle**3 * _stretched_over_cube(angle)
 
 
 def _bent(angle: Array) -> Array:
     """M / (E t r^3 k) of a half-angle."""
-    return angle - jnp.sin(angle) * jnp.cos(angle)
+    return angle**3 * _bent_over_cube(angle)
 
 
 def _load(angle: Array) -> Array:
     """M / (N r) of a half-angle."""
-    return _bent(angle) / (2 * _stretched(angle))
+    return _bent_over_cube(angle) / (2 * _stretched_over_cube(angle))
+
+
+def _stretched_over_cube(angle: Array) -> Array:
+    return _over_cube(angle, jnp.sin(angle) - angle * jnp.cos(angle), _STRETCHED)
+
+
+def _bent_over_cube(angle: Array) -> Array:
+    return _over_cube(angle, angle - jnp.sin(angle) * jnp.cos(angle), _BENT)
+
+
+def _over_cube(angle: Array, value: Array, series: np.ndarray) -> Array:
+    """A value that begins with the cube of an angle over that cube."""
+    # Where it is small, the difference has no digits left.
+    small = angle < _SMALL
+    powers = jnp.asarray(series, angle.dtype)
+    by_series = jnp.polyval(powers, jnp.where(small, angle, 0) ** 2)
+    return jnp.where(small, by_series, value / jnp.where(small, 1, angle) ** 3)
 
 
 def _guess(part: Array, whole: float, folded: float) -> Array:

@@ -472,6 +472,9 @@ class ArmSection(_Surroundings):
         if isinstance(data.get("parameters"), Mapping):
             paths = {part.earlier: part.path for part in parts}
             table = flat(data["parameters"])
+            for before, path in paths.items():
+                if before in table and path in table:
+                    raise ValueError(f"states {path} twice, {before} being its earlier name")
             data["parameters"] = {
                 paths.get(name, name) + bracket + index: value
                 for path, value in table.items()

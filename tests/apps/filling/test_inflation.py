@@ -32,7 +32,10 @@ def test_one_declaration_is_the_pressure_of_links():
     pressures = {path for path, each in everything.items() if each.unit == "Pa"}
     assert {path for path in pressures if everything[path].per == "link"} == {"links.pressure"}
     # The others are of muscles, of the room and of what feeds the first bag.
-    whole = pressures - {"links.pressure"}
+    # A joint by itself has no links, and its neck the pressure that links have unless stated.
+    assert everything["neck.pressure"].default == everything["links.pressure"].default
+    assert "neck.pressure" not in declared(made)
+    whole = pressures - {"links.pressure", "neck.pressure"}
     assert len(whole) > 3
     assert {path.partition(".")[0] for path in whole} <= {"gas", "supply", "muscle", "friction"}
 
@@ -118,6 +121,9 @@ def test_files_and_paths_of_earlier_versions_are_read(tmp_path):
     changed = replace(arm, {"contact.pressure": jnp.array([100.0, 200.0])})
     assert float(get(changed, "contact.pressure[1]")) == 200.0
     assert "contact.pressure" not in declared(changed)
+    both = '[arm.parameters]\n"contact.pressure" = 500.0\n"links.pressure" = 300.0\n'
+    with pytest.raises(InputError, match=r"states links\.pressure twice"):
+        definition(tmp_path, both)
     twice = "[arm]\nlinks = 2\ncontact_pressure_kPa = 0.5\nlink_pressure_kPa = 0.5\n"
     with pytest.raises(InputError, match="states link_pressure_kPa twice"):
         definition(tmp_path, twice)

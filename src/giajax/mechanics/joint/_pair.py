@@ -87,7 +87,7 @@ def pair_command(
 
     The inner muscle balances the co-contraction torque, alpha and what of the load acts against the
     bending; the outer one the co-contraction torque and beta. Where no pressure gives a force, its
-    answer says why.
+    answer says why. It is the controller of the paper, which knows of no neck.
 
     Arguments:
         angle: to be held, rad, any shape, within -60 to 60 deg.
