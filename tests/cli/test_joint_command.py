@@ -31,6 +31,19 @@ def test_a_neck_of_the_help_is_drawn_and_one_that_muscles_crush_is_refused(tmp_p
     assert "make neck.pressure or neck.radius larger" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["neck.length=0.03"], "--set neck.length: the joint has no neck; set neck.radius, too"),
+        (["neck.radius=0.06", "neck.length=0"], "neck.length is 0: make it positive"),
+    ],
+)
+def test_necks_that_are_none(words, sentence, tmp_path, capsys):
+    given = [part for word in words for part in ("--set", word)]
+    assert main(["joint", "--out", str(tmp_path / "out"), *given]) != 0
+    assert sentence in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_it_draws_and_writes_the_numbers(written):
     for name in PICTURES:

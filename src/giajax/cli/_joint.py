@@ -117,6 +117,9 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
         # The joint's own paths need no prefix, as in a fit of a joint.
         values[path if path.startswith(("joint.", "muscle.", "neck.")) else f"joint.{path}"] = each
     pair = with_settings(pair, values)
+    alone = next((path for path in typed if path.startswith("neck.")), None)
+    if alone is not None and pair.neck.radius is None:
+        raise InputError(f"--set {alone}: the joint has no neck; set neck.radius, too")
     check_geometry(pair.joint.geometry)
     return pair
 

@@ -85,7 +85,7 @@ def energy(tube: Tube, curvature: Numbers, force: Numbers) -> Numbers:
 def curvature(tube: Tube, moment: Numbers, force: Numbers) -> Numbers:
     """Curvature under a moment, 1/m: the inverse of `moment`; infinite from N r on."""
     most = force * tube.radius
-    # Without a force it folds under any moment.
+    # Without a force it collapses under any moment.
     without = jnp.where(jnp.abs(moment) > 0, jnp.inf, 0.0)
     load = jnp.where(most > 0, jnp.abs(moment) / jnp.where(most > 0, most, 1), without)
     share = stiff_share(load)
@@ -98,7 +98,7 @@ def curvature(tube: Tube, moment: Numbers, force: Numbers) -> Numbers:
 def stiff_share(load: Numbers) -> Numbers:
     """Moment over that which the same curvature takes without wrinkles, by M / (N r).
 
-    1 up to a half, where wrinkles begin, and 0 from 1 on, where the tube folds.
+    1 up to a half, where wrinkles begin, and 0 from 1 on, where the tube collapses.
     """
     # Both at the ends, and at a load that is beyond them, no angle is looked for.
     wrinkled = (load > 0.5) & (load < 1)

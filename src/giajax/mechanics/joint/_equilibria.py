@@ -247,6 +247,9 @@ def equilibria(
 def _check_neck(pair: JointPair, pressures: Array) -> None:
     if pair.neck.radius is None:
         return
+    for name in ("radius", "length", "film_stiffness"):
+        if not bool(getattr(pair.neck, name) > 0):
+            raise InputError(f"neck.{name} is 0: make it positive")
     pressed = compression(pair, pressures, jnp.zeros(()), jnp.asarray(True))
     if not bool(stretching(pair.neck, pressed) > 0):
         raise InputError(
