@@ -34,6 +34,7 @@ def test_it_writes_what_it_says(tmp_path, capsys):
     assert main(command) == 0
     printed = capsys.readouterr().out
     names = {f"{of}.{kind}" for of in ("unrolling", "filling") for kind in ("json", "csv", "png")}
+    names.add("inflation.toml")
     assert {path.name for path in out.iterdir()} == names
     assert all(name in printed for name in names)
     assert (out / "unrolling.png").read_bytes().startswith(b"\x89PNG")
