@@ -31,6 +31,7 @@ from ..runtime.text import InputError
 from ..schema import (
     BUOYANCY,
     DEFAULT_PRESET,
+    LINKS,
     NO_NEUTRAL,
     POINT_MASSES,
     ArmSection,
@@ -283,6 +284,10 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
         "drag_curve": arm.air.drag_curve,
         "buoyancy": arm.buoyancy is not None,
     }
+    pressure = np.asarray(arm.links.pressure)
+    if pressure.ndim == 0 and pressure == LINKS.pressure.default and LINKS.pressure.key is not None:
+        # It was no constant of the links in earlier versions, whose results are compared.
+        del facts[LINKS.pressure.key.name]
     if arm.air.added_mass_coefficient is not None or arm.air.added_mass != "kirchhoff":
         facts["added_mass"] = arm.air.added_mass
     if arm.joints.laws:

@@ -20,6 +20,7 @@ from ..recordings import (
 )
 from ..runtime.records import plain_data
 from ..runtime.text import InputError
+from ..schema import ArmSection
 from ._journal import moved_to
 
 if TYPE_CHECKING:
@@ -56,12 +57,26 @@ def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
 def check_config(before: Mapping[str, Any], now: Mapping[str, Any], where: Path) -> None:
     """Refuse a `Setup.config` that is not that of the file of a result or a journal."""
     resolved = plain_data(now).items()
+    before = {**before, "definition": _renamed(before.get("definition") or {})}
     differing = [_WORDS.get(key, key) for key, value in resolved if before.get(key) != value]
     if differing:
         raise InputError(
             f"this version of giajax resolves the settings of {where} differently (in "
             f"{', '.join(differing)}): go on with the version that wrote it, or fit anew"
         )
+
+
+def _renamed(definition: Mapping[str, Any]) -> dict[str, Any]:
+    """A model's constants with the keys of now, without those that are what they are by default."""
+    if "arm" not in definition:
+        return dict(definition)
+    arm = dict(definition["arm"])
+    for part in (part for parts in ArmSection.quantities.values() for part in parts):
+        if part.key is not None and part.key.earlier in arm:
+            value = arm.pop(part.key.earlier)
+            if value != part.default / part.factor:
+                arm[part.key.name] = value
+    return {**definition, "arm": arm}
 
 
 def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
