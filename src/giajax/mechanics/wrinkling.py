@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from functools import partial
+from math import factorial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import factorial
 
 from ..runtime.arrays import Array, Float, Scalar, larger, limited
 from ..schema import NECK
@@ -20,7 +20,7 @@ _STEPS = 4  # of Newton's method, after which an angle is exact to rounding from
 _SMALL = 0.5  # rad, below which functions of an angle are series
 # Of sin d - d cos d and d - sin d cos d over d^3, by powers of d^2 with the highest first.
 _ODD = 2 * np.arange(9, 0, -1) + 1
-_SIGNS = (-1.0) ** (_ODD // 2 + 1) / factorial(_ODD)
+_SIGNS = (-1.0) ** (_ODD // 2 + 1) / np.array([float(factorial(n)) for n in _ODD.tolist()])
 _STRETCHED, _BENT = _SIGNS * (_ODD - 1), _SIGNS * 2.0 ** (_ODD - 1)
 
 

@@ -460,32 +460,33 @@ class ArmSection(_Surroundings):
     @model_validator(mode="before")
     @classmethod
     def _earlier_names(cls, data: Any) -> Any:
-        """Files of earlier versions have other names of keys and paths."""
+        """Files of earlier versions have other names of keys."""
         if not isinstance(data, Mapping):
             return data
-        parts = [part for several in cls.quantities.values() for part in several if part.earlier]
-        now = {part.key.earlier: part.key.name for part in parts if part.key is not None}
+        keys = (part.key for several in cls.quantities.values() for part in several)
+        now = {key.earlier: key.name for key in keys if key is not None and key.earlier}
         for before, name in now.items():
             if before in data and name in data:
                 raise ValueError(f"states {name} twice, {before} being its earlier name: remove it")
-        data = {now.get(name, name): value for name, value in data.items()}
-        if isinstance(data.get("parameters"), Mapping):
-            paths = {part.earlier: part.path for part in parts}
-            table = flat(data["parameters"])
-            for before, path in paths.items():
-                if before in table and path in table:
-                    raise ValueError(f"states {path} twice, {before} being its earlier name")
-            data["parameters"] = {
-                paths.get(name, name) + bracket + index: value
-                for path, value in table.items()
-                for name, bracket, index in [path.partition("[")]
-            }
-        return data
+        return {now.get(name, name): value for name, value in data.items()}
 
     @field_validator("parameters", mode="before")
     @classmethod
     def _unquoted_paths_are_paths(cls, table: Any) -> Any:
-        return flat(table) if isinstance(table, Mapping) else table
+        """And those of earlier versions are what they are called now."""
+        if not isinstance(table, Mapping):
+            return table
+        table = flat(table)
+        parts = (part for several in cls.quantities.values() for part in several)
+        paths = {part.earlier: part.path for part in parts if part.earlier}
+        for before, path in paths.items():
+            if before in table and path in table:
+                raise ValueError(f"states {path} twice, {before} being its earlier name")
+        return {
+            paths.get(name, name) + bracket + index: value
+            for path, value in table.items()
+            for name, bracket, index in [path.partition("[")]
+        }
 
     @field_validator("parameters")
     @classmethod

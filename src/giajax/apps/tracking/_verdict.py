@@ -28,9 +28,9 @@ from ._track import (
     noise_of,
 )
 
-# What is off by less is of no consequence, whatever the number of measurements.
 BAND = 1.96
 """Deviations on either side of a mean, within which it is in 95 of 100 cases."""
+# What is off by less is of no consequence, whatever the number of measurements.
 _ENOUGH = 0.1
 _BEYOND = 4.0  # standard errors
 _LAGS = 10  # events
