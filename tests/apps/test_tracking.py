@@ -469,7 +469,7 @@ def test_an_estimate_without_process_noise_is_that_of_a_fit(still_arm):
     assert fitted.standard_error is not None
     error = found.smoothed.parameter_deviations[drag][-1]
     assert found.smoothed.parameters[drag][-1] == pytest.approx(
-        fitted.value, abs=0.1 * fitted.standard_error
+        fitted.value, abs=0.03 * fitted.standard_error
     )
     assert error == pytest.approx(fitted.standard_error, rel=0.05)
     off = abs(found.filtered.parameters[drag][-1] - fitted.value)

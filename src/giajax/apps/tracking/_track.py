@@ -41,7 +41,7 @@ from ._rounds import (
     watching,
 )
 
-STIFFNESS_SHARE = 6e-5
+STIFFNESS_SHARE = 3e-5
 """Default of the unmodelled torque: this share of the mean stiffness, as white noise, root(s)."""
 
 _LONGEST = 0.1  # between two events, s
@@ -718,7 +718,7 @@ def track(
     if len(unknown.considered) or course.changes:
         # By the whole run, what is considered on the way is estimated.
         _, found = followed_through(tracked, begun, course.events, every)
-    smooth, _ = linearised_again(tracked, begun, course.events, every, found)
+    smooth, _ = linearised_again(tracked, begun, _moving_at_some_time(course.events), every, found)
     after = as_states(tracked, smooth)
     if not np.all(np.isfinite(after.mean)):
         raise InputError(
@@ -966,6 +966,19 @@ def smoothed_through(rows: Filtered) -> Gaussian:
         parts.append(_first(found, size))
     whole: Gaussian = _joined(parts[::-1])
     return whole
+
+
+def _moving_at_some_time(events: Events) -> Events:
+    """Events of which all show parameters, if one does.
+
+    The filter has to be told when nothing moves, as it is linearised about what it knows by then;
+    about smoothed states what rests is as right as what moves.
+    """
+    learning = events.learning
+    if learning is None:
+        return events
+    moves = jnp.broadcast_to(jnp.any(learning.moves), learning.moves.shape)
+    return events._replace(learning=learning._replace(moves=moves))
 
 
 def linearised_again(
