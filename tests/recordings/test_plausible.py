@@ -261,9 +261,9 @@ def test_a_mistake_is_named(mistake, name):
 @pytest.mark.parametrize(
     ("arm", "sentence"),
     [
-        ({"link_pressure_kPa": [1.0] * 19 + [0.0205]}, "of link 20 is 1.45 N, at 20.5 Pa, less"),
-        ({"contact_pressure_kPa": 0.5}, "of each link is 35.3 N, at 500 Pa, less than the 50.1 N"),
-        ({"muscle_law": "empirical", "link_pressure_kPa": 0.25}, "less than the 20 N of one"),
+        ({"link_pressure_kPa": [1.0] * 19 + [0.0205]}, "1 of 20 links bear less than the 50.1 N"),
+        ({"contact_pressure_kPa": 0.5}, "p pi r^2 is 35.3 N, at 500.0 Pa"),
+        ({"muscle_law": "empirical", "link_pressure_kPa": 0.25}, "less than the 20.0 N that one"),
         ({"muscle_law": "empirical", "link_pressure_kPa": 0.3}, None),
         ({"parameters": {"muscle.pressure_limit": 1e5}, "link_pressure_kPa": 0.5}, None),
         ({}, None),

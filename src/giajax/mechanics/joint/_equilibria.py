@@ -19,7 +19,8 @@ import numpy.typing as npt
 from ...runtime.arrays import Array, Bool, Float, Int, Scalar, bisect
 from ...runtime.programs import program
 from ...runtime.text import InputError
-from ..wrinkling import stretching
+from ...schema import crushed
+from ..wrinkling import check_neck, stretching
 from ._geometry import BRANCHES, LARGEST_ANGLE, branch_angles, check_geometry, muscle_path
 from ._pair import (
     JointPair,
@@ -247,16 +248,11 @@ def equilibria(
 def _check_neck(pair: JointPair, pressures: Array) -> None:
     if pair.neck.radius is None:
         return
-    for name in ("radius", "length", "film_stiffness"):
-        if not bool(getattr(pair.neck, name) > 0):
-            raise InputError(f"neck.{name} is 0: make it positive")
+    check_neck(pair.neck)
     pressed = compression(pair, pressures, jnp.zeros(()), jnp.asarray(True))
-    if not bool(stretching(pair.neck, pressed) > 0):
-        raise InputError(
-            f"the muscles press the straight joint together by {float(pressed):.3g} N, and the gas "
-            f"in its neck holds {float(pressed + stretching(pair.neck, pressed)):.3g} N: make "
-            "neck.pressure or neck.radius larger"
-        )
+    sentence = crushed(float(pressed), float(pressed + stretching(pair.neck, pressed)))
+    if sentence is not None:
+        raise InputError(f"{sentence}: make neck.pressure or neck.radius larger")
 
 
 def _listed(roots: Roots, ahead: bool) -> list[Equilibrium]:
