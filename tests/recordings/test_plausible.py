@@ -279,6 +279,18 @@ def test_a_link_that_one_muscle_folds_is_named(arm, sentence):
 
 
 @quick
+@pytest.mark.parametrize(("radius", "held"), [(0.03, "2.83 N"), (0.04, None)])
+def test_a_neck_that_muscles_crush_is_named(radius, held):
+    """2 x 0.3 N m at 0.18 m against p pi r^2 of 1 kPa."""
+    columns, definition = right("base_step", np.random.default_rng(4))
+    parameters = {"neck.radius": radius}
+    definition["arm"] = {"links": 20, "muscles": "pitch", "parameters": parameters}
+    said = [odd.sentence for odd in found(columns, definition) if "neck" in odd.sentence]
+    whole = f"press the straight joint together by 3.33 N, and the gas in its neck holds {held}"
+    assert [whole in each for each in said] == [True] * (held is not None)
+
+
+@quick
 @pytest.mark.parametrize(("factor", "unit"), [(1000, "mm"), (100, "cm")])
 def test_positions_in_another_unit_are_renamed(factor, unit):
     columns, definition = right("pitch_yaw", np.random.default_rng(2))
