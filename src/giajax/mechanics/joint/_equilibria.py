@@ -228,7 +228,9 @@ def equilibria(
     if not bool(jnp.isfinite(load)):
         raise InputError("the load is not finite: give a torque in N m")
     check_geometry(pair.joint.geometry)
-    _check_neck(pair, pressures)
+    sentence = crushed_neck(pair, pressures)
+    if sentence is not None:
+        raise InputError(f"{sentence}: make neck.pressure or neck.radius larger")
     sides = {}
     for ahead in (False, True):
         nodes = jnp.asarray(angles_to_search(pair, ahead), dtype=pressures.dtype)
@@ -245,14 +247,17 @@ def equilibria(
     )
 
 
-def _check_neck(pair: JointPair, pressures: Array) -> None:
+def crushed_neck(pair: JointPair, pressures: Array) -> str | None:
+    """That pressures (Pa) of the muscles crush the neck of the straight joint; None: they do not.
+
+    Raises:
+        InputError: a size of the neck is 0.
+    """
     if pair.neck.radius is None:
-        return
+        return None
     check_neck(pair.neck)
     pressed = compression(pair, pressures, jnp.zeros(()), jnp.asarray(True))
-    sentence = crushed(float(pressed), float(pressed + stretching(pair.neck, pressed)))
-    if sentence is not None:
-        raise InputError(f"{sentence}: make neck.pressure or neck.radius larger")
+    return crushed(float(pressed), float(pressed + stretching(pair.neck, pressed)))
 
 
 def _listed(roots: Roots, ahead: bool) -> list[Equilibrium]:
