@@ -48,7 +48,7 @@ def test_it_writes_what_it_says(tmp_path, capsys):
     assert facts["finished"]
     assert facts["filling"]["port_diameter_mm"] == [8.0, 9.0]
     assert facts["imbalance"] < 1e-10
-    assert "note: 3 of 3 links end with less than the 50.1 N" in printed
+    assert "note: 3 of 3 links bear less than the 50.1 N" in printed
     assert facts["collapse"] in printed
     assert f"full after {facts['duration_s'] / 60:.2f} min" in printed
     assert facts["links"]["link03"]["full_s"] == facts["duration_s"]

@@ -55,6 +55,7 @@ def arm_of(section):
         {"links": 4, "muscles": [1, 4], "muscle_correction": "none"},
         {"links": 2, "muscles": [1], "muscle_blend_deg": 1.56},
         {"links": 2, "muscles": [1], "parameters": {"geometry.anchor_y": 0.2, "torque": 0.4}},
+        {"links": 2, "muscles": [1], "parameters": {"neck.radius": 0.04, "neck.length": 0.03}},
     ],
 )
 def test_an_arm_with_muscles_goes_through_its_files(section):
@@ -137,6 +138,52 @@ def test_muscles_are_fitted_beside_drag(off):
         assert estimate.standard_error < 0.06 * value, path
     # One of them is the strength of the muscles.
     assert any("per unit of mass" in sentence for sentence in result.conditions)
+
+
+NECK = {"neck.radius": 0.045, "neck.length": 0.03, "joints.damping": 0.08}
+
+
+def bent_run(measured=None, **changes):
+    """Pressures that bend the joint of one link to and fro, past where a neck folds."""
+    section = {"links": 1, "muscles": "pitch", "parameters": {"neck.radius": 0.05}}
+    times = np.linspace(0.0, 12.0, 121)
+    angles = np.deg2rad([[0.0], [0.0], [35.0], [35.0], [-45.0], [-45.0], [30.0]])
+    rows = commanded(arm_of(section).pneumatics, jnp.asarray(angles))
+    values = {
+        f"joint01_pressure_{name}": np.interp(times, [0, 1, 2, 5, 6, 9, 12], rows[:, row, 0])
+        for row, name in enumerate(("first", "second"))
+    }
+    values |= {"joint01_angle": np.zeros_like(times)} if measured is None else measured
+    return Run.from_arrays(times, values, definition={"arm": section}, **changes)
+
+
+@pytest.mark.slow
+def test_a_fit_finds_the_neck_of_an_arm():
+    """From another radius, length and damping. One that muscles crush would respond to nothing."""
+    blank, noise = bent_run(), float(np.deg2rad(0.5))
+    exact = giajax.predict(replace(model_for([blank]), NECK), blank, ("joint01_angle",))
+    assert np.ptp(np.rad2deg(exact["joint01_angle"])) > 80
+    noisy = exact["joint01_angle"] + np.random.default_rng(0).normal(scale=noise, size=121)
+    run = bent_run({"joint01_angle": noisy}, noise={"angle": noise})
+    start = {"neck.radius": 0.04, "neck.length": 0.02, "joints.damping": 0.12}
+    result = fit(model_for([run]), run, free=list(NECK), start=start, check=False)
+    assert result.status == "converged", result.message
+    for path, value in NECK.items():
+        estimate = result.free[path]
+        low, high = estimate.interval
+        assert low < value < high, path
+        assert estimate.standard_error < 0.02 * value, path
+
+
+def test_a_neck_is_a_variant_of_an_arm_with_muscles():
+    """No test can begin at a radius of 0; its gas moves what pressures hold, as all of it does."""
+    arm = arm_of(ARM)
+    assert float(arm_variants(arm)["neck.radius = 0.05 m"].pneumatics.neck.radius) == 0.05
+    necked = ArmModel(replace(arm, {"neck.radius": 0.04}))
+    assert not any(name.startswith("neck") for name in arm_variants(necked.arm))
+    for path, model in (("neck.length", necked), ("links.pressure", necked)):
+        assert model.for_derivatives([path]).steps_for == "derivatives"
+    assert ArmModel(arm).for_derivatives(["links.pressure"]).steps_for == "motion"
 
 
 def test_pressures_set_the_scale_only_by_the_strength_of_the_muscles():

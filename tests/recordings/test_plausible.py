@@ -261,9 +261,9 @@ def test_a_mistake_is_named(mistake, name):
 @pytest.mark.parametrize(
     ("arm", "sentence"),
     [
-        ({"link_pressure_kPa": [1.0] * 19 + [0.0205]}, "of link 20 is 1.45 N, at 20.5 Pa, less"),
-        ({"contact_pressure_kPa": 0.5}, "of each link is 35.3 N, at 500 Pa, less than the 50.1 N"),
-        ({"muscle_law": "empirical", "link_pressure_kPa": 0.25}, "less than the 20 N of one"),
+        ({"link_pressure_kPa": [1.0] * 19 + [0.0205]}, "1 of 20 links bear less than the 50.1 N"),
+        ({"contact_pressure_kPa": 0.5}, "p pi r^2 is 35.3 N, at 500.0 Pa"),
+        ({"muscle_law": "empirical", "link_pressure_kPa": 0.25}, "less than the 20.0 N that one"),
         ({"muscle_law": "empirical", "link_pressure_kPa": 0.3}, None),
         ({"parameters": {"muscle.pressure_limit": 1e5}, "link_pressure_kPa": 0.5}, None),
         ({}, None),
@@ -276,6 +276,18 @@ def test_a_link_that_one_muscle_folds_is_named(arm, sentence):
     said = [odd.sentence for odd in found(columns, definition) if "collapse" in odd.sentence]
     assert len(said) == (sentence is not None)
     assert all(sentence in each for each in said)
+
+
+@quick
+@pytest.mark.parametrize(("radius", "held"), [(0.03, "2.83 N"), (0.04, None)])
+def test_a_neck_that_muscles_crush_is_named(radius, held):
+    """2 x 0.3 N m at 0.18 m against p pi r^2 of 1 kPa."""
+    columns, definition = right("base_step", np.random.default_rng(4))
+    parameters = {"neck.radius": radius}
+    definition["arm"] = {"links": 20, "muscles": "pitch", "parameters": parameters}
+    said = [odd.sentence for odd in found(columns, definition) if "neck" in odd.sentence]
+    whole = f"press the straight joint together by 3.33 N, and the gas in its neck holds {held}"
+    assert [whole in each for each in said] == [True] * (held is not None)
 
 
 @quick

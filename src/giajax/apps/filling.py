@@ -28,7 +28,6 @@ from ..mechanics.inflation import (
     inflow,
     mass_flow,
 )
-from ..mechanics.joint import BraidedMuscle
 from ..models import arm_to_definition, preset_of
 from ..recordings import to_toml
 from ..report import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png
@@ -39,7 +38,7 @@ from ..runtime.process import cores
 from ..runtime.programs import program
 from ..runtime.records import plain_data
 from ..runtime.text import InputError
-from ..schema import AT_REST, GAS, LINKS, PORTS, SKIN, SUPPLY
+from ..schema import GAS, LINKS, PORTS, SKIN, SUPPLY, collapse, largest_pull
 from ..schema.parameters import check_within_bounds, declared, get, replace
 
 _MOST_STEPS = 20_000
@@ -269,19 +268,10 @@ class Filled:
     def collapse(self) -> str | None:
         """Which links end with too little pressure for a muscle at its limit; None: none do."""
         arm = self.filling.arm
-        muscle = BraidedMuscle() if arm.pneumatics is None else arm.pneumatics.muscle
-        at = (muscle.pressure_limit, jnp.zeros_like(muscle.pressure_limit))
-        pull = float(muscle.force(*at, jnp.full_like(at[1], AT_REST.length.default)))
-        carried = np.asarray(replace(arm, self.inflation).links.end_force)
-        weak = np.flatnonzero(carried < pull)
-        if not weak.size:
-            return None
-        least = int(np.argmin(carried))
-        return (
-            f"{weak.size} of {arm.count} links end with less than the {pull:.1f} N that one muscle "
-            f"pulls with at its limit, and would collapse: p pi r^2 of link {least + 1} is "
-            f"{carried[least]:.1f} N, at {self.pressure[-1, least]:.1f} Pa"
-        )
+        law = None if arm.pneumatics is None else arm.pneumatics.muscle.name
+        known = {path: np.asarray(one.value(arm)) for path, one in declared(arm).items()}
+        diameter = known[LINKS.diameter.path]
+        return collapse(self.inflation[LINKS.pressure.path], diameter, largest_pull(known, law))
 
 
 def fill(

@@ -18,6 +18,7 @@ from ..mechanics.joint import (
     Joint,
     JointPair,
     branch_angles,
+    crushed_neck,
     equilibria,
     muscle_state,
     net_torque,
@@ -255,14 +256,16 @@ def equilibria_table(
     """Pressures of the controller for some angles (deg), and all equilibria of each pair of them.
 
     Columns have one row an equilibrium, in the units that their names say; beside them are the
-    equilibria of each target angle.
+    equilibria of each target angle. Angles whose pressures crush the neck have none.
     """
     command = pair_command(pair, np.deg2rad(degrees))
     pressures = np.asarray(command.pressures)
+    held = np.asarray([crushed_neck(pair, jnp.asarray(both)) is None for both in pressures])
+    degrees, pressures = degrees[held], pressures[held]
     everything = [equilibria(pair, both) for both in pressures]
     rows: list[tuple[object, ...]] = []
     for target, reached, both, rests in zip(
-        degrees, np.asarray(command.reached), pressures, everything, strict=True
+        degrees, np.asarray(command.reached)[held], pressures, everything, strict=True
     ):
         rows += [
             (

@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..runtime.arrays import Array, Float, Scalar, larger, limited
+from ..runtime.text import InputError
 from ..schema import NECK
-from ..schema.parameters import parameter
+from ..schema.parameters import is_concrete, parameter
 
 Numbers = Float[Array, "..."]
 
@@ -33,6 +34,27 @@ class Tube(NamedTuple):
     film_stiffness: Array
 
 
+class NeckFilm(eqx.Module):
+    """The film of a neck between two links, with the gas that these have.
+
+    Without a radius (None) there is none: the joint is a hinge.
+
+    Raises:
+        InputError: a size that is 0.
+    """
+
+    radius: Scalar | None = parameter(NECK.radius)
+    length: Scalar = parameter(NECK.length)
+    film_stiffness: Scalar = parameter(NECK.film_stiffness)
+
+    def __check_init__(self) -> None:
+        check_neck(self)
+
+    def filled(self, pressure: Array) -> "Neck":
+        """The neck with gas of a gauge pressure, Pa: one number, or one for each joint."""
+        return Neck(self.radius, self.length, self.film_stiffness, pressure)
+
+
 class Neck(eqx.Module):
     """The neck of film between two links, which is bent where their joint is.
 
@@ -49,6 +71,26 @@ class Neck(eqx.Module):
         """The tube that it is a piece of."""
         assert self.radius is not None
         return Tube(self.radius, self.film_stiffness)
+
+    @property
+    def stiffness(self) -> Scalar:
+        """Stiffness of the straight neck, which is tight, N m/rad: it is never stiffer."""
+        tube = self.tube
+        return jnp.pi * tube.film_stiffness * tube.radius**3 / self.length
+
+
+def check_neck(neck: NeckFilm | Neck) -> None:
+    """Refuse a neck of which a size is 0.
+
+    Raises:
+        InputError: naming the size.
+    """
+    if neck.radius is None:
+        return
+    for name in ("radius", "length", "film_stiffness"):
+        size = getattr(neck, name)
+        if is_concrete(size) and not bool(jnp.all(size > 0)):
+            raise InputError(f"neck.{name} is 0: make it positive")
 
 
 def moment(tube: Tube, curvature: Numbers, force: Numbers) -> Numbers:

@@ -21,6 +21,7 @@ from ..schema import (
     INITIAL,
     JOINT_MEMORY,
     JOINTS,
+    LINKS,
     CommandSection,
     InitialSection,
     Prior,
@@ -432,7 +433,10 @@ class ArmModel(AbstractModel):
 
     def for_derivatives(self, paths: Sequence[str]) -> Self:
         """With the steps that a parameter needs which may set moving what is at rest."""
-        if not any(path.startswith("initial.") or is_disturbance(path) for path in paths):
+        necks = self.arm.pneumatics is not None and self.arm.pneumatics.neck.radius is not None
+        held = [LINKS.pressure.path] if necks else []
+        moving = [path for path in paths if path.startswith(("initial.", *held))]
+        if not moving and not any(map(is_disturbance, paths)):
             return self
         return dataclasses.replace(self, steps_for="derivatives")
 

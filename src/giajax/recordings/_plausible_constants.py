@@ -11,15 +11,19 @@ from ..schema import (
     AT_REST,
     BASE,
     BRAIDED,
-    EMPIRICAL,
     INITIAL,
     JOINTS,
     LINKS,
+    NECK,
     PINHOLE,
     PISTON,
     ArmSection,
-    Declaration,
     MuscleSection,
+    braid_area,
+    collapse,
+    crushed,
+    largest_pull,
+    straight_compression,
 )
 from ._plausible_columns import (
     PAPER,
@@ -124,34 +128,19 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
 
 
 def _collapse(section: ArmSection, known: Mapping[str, Any], diameter: Any) -> Iterator[Oddity]:
-    """Links whose pressure does not bear one muscle at its limit, p pi r^2 < F."""
-
-    def of(each: Declaration) -> Any:
-        return known.get(each.path, each.default)
-
-    if section.muscle_law == "empirical":
-        pull = of(EMPIRICAL.force_limit)
-    else:
-        most = of(BRAIDED.pressure_limit) - of(BRAIDED.dead_band)
-        pull = (
-            of(BRAIDED.effectiveness) * most * _ideal(of(BRAIDED.diameter), of(BRAIDED.braid_angle))
-        )
-    pressure = of(LINKS.pressure)
-    carried = np.ravel(pressure * np.pi / 4 * diameter**2)
-    least = int(np.argmin(carried))
-    if carried[least] < pull:
-        where = f"link {least + 1}" if carried.size > 1 else "each link"
+    """Links and necks of joints that do not bear their muscles."""
+    pressure = known.get(LINKS.pressure.path, LINKS.pressure.default)
+    sentence = collapse(pressure, diameter, largest_pull(known, section.muscle_law))
+    if sentence is not None:
         yield wrong_constant(
-            f"p pi r^2 of {where} is {carried[least]:.3g} N, at "
-            f"{np.broadcast_to(np.ravel(pressure), carried.shape)[least]:.3g} Pa, less than the "
-            f"{float(pull):.3g} N of one muscle at its pressure limit: the link would collapse",
+            sentence,
             "correct link_pressure_kPa in [arm], or give the muscles a lower pressure_limit",
         )
-
-
-def _ideal(diameter: Any, angle: Any) -> Any:
-    """Force of an ideal braided muscle that is not contracted, over its pressure, m^2."""
-    return np.pi / 4 * diameter**2 * (3 / np.tan(angle) ** 2 - 1 / np.sin(angle) ** 2)
+    if NECK.radius.path in known:
+        held = float(np.min(pressure)) * np.pi * float(known[NECK.radius.path]) ** 2
+        sentence = crushed(straight_compression(known), held)
+        if sentence is not None:
+            yield wrong_constant(sentence, "correct link_pressure_kPa in [arm], or neck.radius")
 
 
 def force(look: Look) -> Iterator[Oddity]:
@@ -165,7 +154,7 @@ def force(look: Look) -> Iterator[Oddity]:
         return
     diameter, angle = (float(stated[path]) for path in needed)
     most = float(np.nanmax(pressure))
-    ideal = _ideal(diameter, angle)
+    ideal = braid_area(diameter, angle)
     cells = look.measured["force"]
     size, pressures = np.abs(cells.values), pressure[cells.rows]
     ratio = float(np.quantile(size, 0.95)) / max(ideal * most, 1e-300)

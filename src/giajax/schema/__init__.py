@@ -117,6 +117,13 @@ from ._quantities_arm import (
     SKIN as SKIN,
     SUPPLY as SUPPLY,
 )
+from ._strength import (
+    braid_area as braid_area,
+    collapse as collapse,
+    crushed as crushed,
+    largest_pull as largest_pull,
+    straight_compression as straight_compression,
+)
 
 for _declared in [each for each in vars().values() if isinstance(each, Kind)]:
     add_kind(_declared)

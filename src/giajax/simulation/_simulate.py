@@ -14,7 +14,7 @@ from ..mechanics.arm import AbstractWind, Arm, mass_matrix, with_wind
 from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.programs import program
 from ..runtime.text import InputError
-from ..schema import ALPHA, BETA, BRAIDED, DRIVE, GEOMETRY, LOAD
+from ..schema import ALPHA, BETA, BRAIDED, DRIVE, GEOMETRY, LOAD, NECK
 from ..schema.parameters import is_concrete
 from ._motion import Inputs, Rates, fastest_rate, motion
 from ._signal import Pressures, Signal, check_muscles, constant, followed
@@ -45,7 +45,7 @@ _PARAMETERS = ("base_rotation", "gravity", "air.wind", "buoyancy", "point_masses
 
 # Of the muscles, whose parameters have no common name: where pressures hold a joint, each of them
 # moves it.
-_GROUPS = (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, DRIVE)
+_GROUPS = (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, DRIVE, NECK)
 _MUSCLES = {quantity.path.partition(".")[0] for group in _GROUPS for quantity in group}
 
 _REFUSAL = (
@@ -81,7 +81,9 @@ def refuse_disturbances(steps_for: str, arm: Arm, inputs: Any) -> Scalar:
     """
     if steps_for != "motion":
         return jnp.zeros(())
-    disturbances = (inputs, *(attrgetter(path)(arm) for path in _PARAMETERS))
+    # Muscles in the gas of links, which moves a joint that it holds.
+    muscles = None if arm.pneumatics is None else arm.pneumatics.in_links(arm.links)
+    disturbances = (inputs, muscles, *(attrgetter(path)(arm) for path in _PARAMETERS))
     return jax.lax.stop_gradient(_undisturbed(disturbances))
 
 

@@ -118,7 +118,7 @@ class Arm(ShownAsTable, eqx.Module):
     @property
     def further_laws(self) -> JointLaws:
         """What acts beside springs and dampers, and has all states: of `joints`, and muscles."""
-        muscles = () if self.pneumatics is None else (self.pneumatics,)
+        muscles = () if self.pneumatics is None else (self.pneumatics.in_links(self.links),)
         return JointLaws((*self.joints.further_laws.laws, *muscles))
 
     def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:

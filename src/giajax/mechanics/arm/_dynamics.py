@@ -248,6 +248,9 @@ def muscle_power(
 ) -> Scalar:
     """Power that the pressures in the muscles (Pa) deliver to the joints, W; 0 without muscles.
 
+    Of joints with necks it is what muscles and necks deliver together: what a neck stores depends
+    on the muscles that press it.
+
     Muscles are without friction, so that it is the pressure times the rate of the volume where
     the law is virtual work of the gas (the ideal braid).
     """

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Bool, Float, Scalar, larger, safe_norm, scaled
+from ...runtime.arrays import Array, Bool, Float, Scalar, larger, safe_norm, scaled, smaller
 from ...runtime.text import InputError
 from ...schema import AIR, BUOYANCY, CONTACT, JOINTS, LINKS, POINT_MASSES
 from ...schema.parameters import inline, is_concrete, parameter
@@ -172,6 +172,18 @@ class Links(eqx.Module):
     def volume(self) -> Float[Array, " link"]:
         """Air that each link displaces, m^3."""
         return np.pi / 4 * self.diameter**2 * self.length * self.fullness
+
+    @property
+    def neck_pressure(self) -> Float[Array, ""] | Float[Array, " joint"]:
+        """Gauge pressure of the gas in the neck of each joint, Pa: the lower one of both links.
+
+        Half of a neck belongs to either link, and both halves bear the same moment: it folds where
+        there is less gas. The first joint has that of the first link.
+        """
+        pressure = self.pressure
+        if pressure.ndim == 0:
+            return pressure
+        return smaller(pressure, jnp.concatenate([pressure[:1], pressure[:-1]]))
 
     @property
     def end_force(self) -> Float[Array, " link"]:

@@ -4,6 +4,7 @@ The statics of a pair are those of `giajax.mechanics.joint`; here they act in th
 motion.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -25,13 +26,15 @@ from ..joint import (
     JointPair,
     PairCommand,
     commanded,
+    compression,
     muscle_torques,
     net_torque,
     resistance,
     resistance_energy,
 )
+from ..wrinkling import NeckFilm
 from ._joint_laws import AbstractJointLaw, JointState, PerJoint, States, Supply, slope
-from ._parts import Joints
+from ._parts import Joints, Links
 
 # Angles at which the steepest slope is looked for.
 _ANGLES = np.linspace(-LARGEST_ANGLE, LARGEST_ANGLE, 121)
@@ -41,6 +44,7 @@ def stiffest_pair(pair: JointPair) -> Scalar:
     """Bound of the stiffness of a pair at any pressures within its range, N m/rad.
 
     One pressure may be high where the other is low, so that what each muscle adds counts by itself.
+    A neck adds what it has where it is tight, and its radius times what the compression changes by.
     """
     angles = jnp.asarray(_ANGLES)
     ahead, pressures = angles >= 0, jnp.full(2, 1.0) * pair.muscle.pressure_limit
@@ -50,7 +54,16 @@ def stiffest_pair(pair: JointPair) -> Scalar:
         return muscle_torques(pair, pressures, angle, ahead), own
 
     (first, second), own = jax.jvp(torques, (angles,), (jnp.ones_like(angles),))[1]
-    return jnp.max(larger(-first, 0) + larger(second, 0) + own)
+    added = larger(-first, 0) + larger(second, 0) + own
+    if pair.neck.radius is None:
+        return jnp.max(added)
+
+    def pressed(angle: Array) -> Array:
+        alone = jnp.eye(2) * pair.muscle.pressure_limit
+        return jax.vmap(lambda each: compression(pair, each, angle, ahead))(alone)
+
+    changed = jnp.sum(jnp.abs(slope(pressed, angles)), axis=0)
+    return jnp.max(added + pair.neck.radius * changed) + pair.neck.stiffness
 
 
 class MuscleDrive(eqx.Module):
@@ -75,7 +88,7 @@ class Pneumatics(AbstractJointLaw):
 
     Pressures are arrays of shape (2, joint), Pa: of the first muscles, towards which a positive
     angle bends, and of the second ones; 0 in joints without muscles. Beyond 60 deg a joint has
-    the torque of its pair at 60 deg, and a stop.
+    the torque of its pair at 60 deg, and a stop. The controller knows of no neck.
 
     Arguments:
         joints: numbers of the joints, increasing; 1 is the base joint.
@@ -83,6 +96,9 @@ class Pneumatics(AbstractJointLaw):
             (`geometry.anchor_x`, `alpha.offset`, `torque`).
         muscle: the law of all muscles (`muscle.effectiveness`).
         drive: lag, passive stiffness and stop.
+        neck: the film between links, at these joints; none by default.
+        gas: gauge pressure in the neck of each of these joints, Pa; None in an arm, which has it
+            in its links (`in_links`).
 
     Raises:
         InputError: no joint or the same twice, a law that pushes, or corrections that jump.
@@ -98,6 +114,8 @@ class Pneumatics(AbstractJointLaw):
     )
     muscle: AbstractMuscle = held(default_factory=BraidedMuscle)
     drive: MuscleDrive = eqx.field(default_factory=MuscleDrive)
+    neck: NeckFilm = eqx.field(default_factory=NeckFilm)
+    gas: Float[Array, "..."] | None = None
 
     def __check_init__(self) -> None:
         if not self.joints or np.any(np.diff(self.joints) <= 0) or self.joints[0] < 1:
@@ -124,8 +142,29 @@ class Pneumatics(AbstractJointLaw):
 
     @property
     def pair(self) -> JointPair:
-        """The pair in each of these joints."""
+        """The pair in each of these joints, with the gas of each in its neck.
+
+        Raises:
+            InputError: a neck without gas.
+        """
+        if self.neck.radius is None:
+            return self._hinge
+        if self.gas is None:
+            raise InputError(
+                "the necks of these joints have the gas of links: use in_links(arm.links)"
+            )
+        return JointPair(self.joint, self.muscle, self.neck.filled(self.gas))
+
+    @property
+    def _hinge(self) -> JointPair:
         return JointPair(joint=self.joint, muscle=self.muscle)
+
+    def in_links(self, links: Links) -> "Pneumatics":
+        """With the gas of links in the necks; without necks themselves."""
+        if self.neck.radius is None:
+            return self
+        gas = links.neck_pressure
+        return dataclasses.replace(self, gas=self._of(gas) if gas.ndim else gas)
 
     @property
     def rows(self) -> int:
@@ -157,7 +196,7 @@ class Pneumatics(AbstractJointLaw):
         if self.drive.passive_stiffness is not None:
             load = self.drive.passive_stiffness * angle
         torque = jnp.broadcast_to(self.joint.torque, angle.shape)
-        return commanded(self.pair, angle, load, torque)
+        return commanded(self._hinge, angle, load, torque)
 
     def commanded(self, command: PerJoint) -> Supply:
         """Pressures with which the controller holds commanded angles (rad), Pa."""
@@ -180,7 +219,10 @@ class Pneumatics(AbstractJointLaw):
         return stiffness, jnp.zeros_like(stiffness)
 
     def energy(self, at: JointState) -> PerJoint:
-        """Energy that joints store whatever the pressures are, J; 0 in the straight arm."""
+        """Energy that joints store whatever the pressures are, J; 0 in the straight arm.
+
+        What a neck stores depends on the muscles that press it: it counts with their power.
+        """
         angle, correction = self._of(at.angles), self.joint.correction
         bent = self._limited(angle)
         beyond = angle - bent

@@ -3,6 +3,7 @@
 from ._equilibria import (
     Equilibria as Equilibria,
     Equilibrium as Equilibrium,
+    crushed_neck as crushed_neck,
     equilibria as equilibria,
 )
 from ._geometry import (

@@ -19,7 +19,8 @@ import numpy.typing as npt
 from ...runtime.arrays import Array, Bool, Float, Int, Scalar, bisect
 from ...runtime.programs import program
 from ...runtime.text import InputError
-from ..wrinkling import stretching
+from ...schema import crushed
+from ..wrinkling import check_neck, stretching
 from ._geometry import BRANCHES, LARGEST_ANGLE, branch_angles, check_geometry, muscle_path
 from ._pair import (
     JointPair,
@@ -227,7 +228,9 @@ def equilibria(
     if not bool(jnp.isfinite(load)):
         raise InputError("the load is not finite: give a torque in N m")
     check_geometry(pair.joint.geometry)
-    _check_neck(pair, pressures)
+    sentence = crushed_neck(pair, pressures)
+    if sentence is not None:
+        raise InputError(f"{sentence}: make neck.pressure or neck.radius larger")
     sides = {}
     for ahead in (False, True):
         nodes = jnp.asarray(angles_to_search(pair, ahead), dtype=pressures.dtype)
@@ -244,19 +247,17 @@ def equilibria(
     )
 
 
-def _check_neck(pair: JointPair, pressures: Array) -> None:
+def crushed_neck(pair: JointPair, pressures: Array) -> str | None:
+    """That pressures (Pa) of the muscles crush the neck of the straight joint; None: they do not.
+
+    Raises:
+        InputError: a size of the neck is 0.
+    """
     if pair.neck.radius is None:
-        return
-    for name in ("radius", "length", "film_stiffness"):
-        if not bool(getattr(pair.neck, name) > 0):
-            raise InputError(f"neck.{name} is 0: make it positive")
+        return None
+    check_neck(pair.neck)
     pressed = compression(pair, pressures, jnp.zeros(()), jnp.asarray(True))
-    if not bool(stretching(pair.neck, pressed) > 0):
-        raise InputError(
-            f"the muscles press the straight joint together by {float(pressed):.3g} N, and the gas "
-            f"in its neck holds {float(pressed + stretching(pair.neck, pressed)):.3g} N: make "
-            "neck.pressure or neck.radius larger"
-        )
+    return crushed(float(pressed), float(pressed + stretching(pair.neck, pressed)))
 
 
 def _listed(roots: Roots, ahead: bool) -> list[Equilibrium]:
