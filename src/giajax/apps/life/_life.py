@@ -4,13 +4,12 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
 from ...mechanics.arm import STANDARD_GRAVITY, pose
-from ...mechanics.inflation import Filling, bag_energy
+from ...mechanics.inflation import Filling
 from ...mechanics.joint import BraidedMuscle
 from ...mechanics.unrolling import Unrolling
 from ...runtime.arrays import Array
@@ -125,7 +124,7 @@ class Life:
 
     @property
     def helium(self) -> float:
-        """Largest difference of gas that was fed and gas in the arm and let out, over what fills it.
+        """Largest difference of gas fed and gas in the arm and let out, over what fills the arm.
 
         What is in the arm is known by its pressures and volumes.
         """
@@ -148,9 +147,7 @@ class Life:
     def momentum(self) -> tuple[_Numbers, Mapping[str, _Numbers]]:
         """Change of the arm's momentum over the mission and the impulses on it, N s, each (3,)."""
         found = self.audit
-        impulses = {
-            name: np.asarray(each[-1]) for name, each in found.impulses._asdict().items()
-        }
+        impulses = {name: np.asarray(each[-1]) for name, each in found.impulses._asdict().items()}
         return np.asarray(found.momentum[-1] - found.momentum[0]), impulses
 
     @property
@@ -273,9 +270,7 @@ def _gas(unrolling: Unrolling, begin: GasState, **what: float) -> GasCourse:
     }
     real = jnp.result_type(float)
     handling = Handling(**{k: jnp.asarray(v, real) for k, v in (usual | what).items()})
-    found: GasCourse = gas_course(
-        unrolling, handling, begin, jnp.asarray(_TOLERANCE, real), _TIMES
-    )
+    found: GasCourse = gas_course(unrolling, handling, begin, jnp.asarray(_TOLERANCE, real), _TIMES)
     return found
 
 
