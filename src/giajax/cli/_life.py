@@ -140,7 +140,7 @@ def _show(life: "Life") -> None:
             )
         )
     headings = ["phase", "min", "fed g", "out g", "lift g", "margin N", "link", "touched"]
-    print_table([*headings, "in J", "lost J", "stored J"], rows)
+    print_table([*headings, "in J", "out J", "stored J"], rows)
     outcome = life.outcome
     how = f"not inside: {outcome.reason}"
     if outcome.reached is not None:
