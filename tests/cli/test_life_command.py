@@ -33,7 +33,9 @@ def test_it_writes_what_it_says(tmp_path, capsys):
     assert float(rows[-1]["end_s"]) == pytest.approx(facts["duration_s"])
     assert (out / "life.html").read_bytes().lstrip().lower().startswith(b"<!doctype html")
     run = read_run(out / "run.csv")
-    assert run.times[-1] == pytest.approx(facts["phases"][4]["end_s"] - facts["phases"][4]["begin_s"])
+    assert run.times[-1] == pytest.approx(
+        facts["phases"][4]["end_s"] - facts["phases"][4]["begin_s"]
+    )
     assert " life " in run.definition.origin
     assert main(words) == 2
     assert "--force" in capsys.readouterr().err
@@ -42,7 +44,7 @@ def test_it_writes_what_it_says(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ([], "Missing argument"),
+        ([], "missing argument 'MISSION'"),
         (["none.toml"], "does not exist: give the path of a TOML file"),
         (["arm.toml"], "has no [mission]: add one"),
         ([str(MISSION), "--set", "roll.radios=1"], "there is no parameter 'roll.radios'"),

@@ -140,7 +140,8 @@ def test_a_motion_balances_energy_and_momentum():
     assert np.abs(off).max() < 1e-6 * exchanged
     impulses = [np.asarray(row) for row in found.impulses]
     assert all(np.abs(row).max() > 1e-3 for row in impulses)
-    changed = np.asarray(found.momentum - found.momentum[0]) - sum(impulses)
+    momentum = np.asarray(found.momentum)
+    changed = momentum - momentum[0] - sum(impulses)
     assert np.abs(changed).max() < 1e-6 * sum(np.linalg.norm(row[-1]) for row in impulses)
 
 

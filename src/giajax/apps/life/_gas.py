@@ -20,7 +20,7 @@ from ...mechanics.inflation import (
     mass_flow,
 )
 from ...mechanics.unrolling import Unrolling, open_volume
-from ...runtime.arrays import Array, Bool, Float, Scalar, larger
+from ...runtime.arrays import Array, Bool, Float, Scalar, larger, smaller
 from ...runtime.programs import program
 
 _MOST_STEPS = 50_000
@@ -186,16 +186,16 @@ def gas_course(
     def beyond(t: Scalar, y: GasState, args: Any, **_: object) -> Scalar:
         part = _open_part(unrolling, handling.rolls, t)
         pressure, _ = _links_of(filling, _bags(filling, y.share, part))
-        filled = jnp.minimum(
-            jnp.min(y.share) - 1, jnp.min(pressure * area) / larger(handling.force, 1) - 1
-        )
-        filled = jnp.where(handling.force < 0, jnp.min(y.share) - 1, filled)
+        full = jnp.min(y.share) - 1
+        holds = jnp.min(pressure * area) / larger(handling.force, 1) - 1
+        filled: Array = jnp.where(handling.force < 0, full, smaller(full, holds))
         emptied = handling.pressure - jnp.max(pressure)
         never = -jnp.ones_like(filled)
         left = jnp.where(handling.pressure < 0, never, emptied)
         alike = jnp.min(pressure) - (1 - _ALIKE) * jnp.max(pressure)
         left = jnp.where(handling.settles > 0, alike, left)
-        return jnp.where(handling.feeds > 0, filled, left)
+        reached: Array = jnp.where(handling.feeds > 0, filled, left)
+        return reached
 
     zero = jnp.zeros_like(begin.fed)
     solution = diffrax.diffeqsolve(

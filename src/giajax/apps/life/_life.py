@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
@@ -187,7 +188,7 @@ def live(
     say = on_phase or (lambda _: None)
     arm = mission.model.arm
     made = Unrolling(filling=Filling(arm=arm)) if unrolling is None else unrolling
-    if made.filling.arm is not arm:
+    if not bool(eqx.tree_equal(made.filling.arm, arm)):
         raise InputError(
             "the unrolling is of another arm than the mission: give it a filling of the mission's "
             "arm, mission.model.arm"

@@ -255,8 +255,8 @@ def life_show(life: Life) -> Show:
         clock = np.linspace(phase.begin, phase.end, _FRAMES)
         part = np.linspace(0, 1, _FRAMES)
         if phase.name == "mission":
-            lines = [line.points for line in flown.lines if line.name == "link"]
-            add(phase.begin + life.outcome.times, np.stack(lines, axis=1), phase.fullness)
+            links = [line.points for line in flown.lines if line.name == "link"]
+            add(phase.begin + life.outcome.times, np.stack(links, axis=1), phase.fullness)
         elif phase.name in ("raise", "lower"):
             order = part if phase.name == "raise" else part[::-1]
             add(clock, [turned(x) for x in order], phase.fullness)
