@@ -134,7 +134,8 @@ def test_a_motion_balances_energy_and_momentum():
     works = {name: np.asarray(row) for name, row in found.works._asdict().items()}
     for name in ("drives", "drag", "damping", "hysteresis", "contact"):
         assert np.abs(works[name]).max() > 1e-4, name
-    assert works["damping"][-1] < 0 and works["hysteresis"][-1] < 0
+    assert works["damping"][-1] < 0
+    assert works["hysteresis"][-1] < 0
     exchanged = sum(abs(row[-1]) for row in works.values())
     off = np.asarray(found.energy - found.energy[0]) - sum(works.values())
     assert np.abs(off).max() < 1e-6 * exchanged
