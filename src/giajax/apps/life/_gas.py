@@ -185,7 +185,7 @@ def gas_course(
 
     def beyond(t: Scalar, y: GasState, args: Any, **_: object) -> Scalar:
         part = _open_part(unrolling, handling.rolls, t)
-        pressure, _ = _links_of(filling, _bags(filling, y.share, part))
+        pressure = _links_of(filling, _bags(filling, y.share, part))[0]
         full = jnp.min(y.share) - 1
         holds = jnp.min(pressure * area) / larger(handling.force, 1) - 1
         filled: Array = jnp.where(handling.force < 0, full, smaller(full, holds))
