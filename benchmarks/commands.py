@@ -80,6 +80,7 @@ COMMANDS = {
     "fill": Command("fill --out {out} --force"),
     "unroll": Command("unroll --by-gas --out {out} --force"),
     "mission": Command("mission missions/naraha.toml --out {out} --force", 10.0),
+    "life": Command("life missions/naraha.toml --out {out} --force", 30.0),
     "wind": Command(
         "wind --data {made}/resting.csv --wind 0,0.3,0.075 --highest 0.5 --out {out} --force",
         20.0,

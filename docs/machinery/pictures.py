@@ -18,6 +18,7 @@ from evidence._tracking import DELAY, INTENSITY, LENGTH_SCALE, MEAN, recorded
 from giajax.apps.experiments import figure_12, one_link
 from giajax.apps.filling import curve_figure, filling_curve, filling_figure
 from giajax.apps.joint import correction_figure, equilibria_figure, equilibria_table, joint_figure
+from giajax.apps.life import life_figure, live
 from giajax.apps.mission import Mission, Operator, mission_figure
 from giajax.apps.paper import explained, explanations_figure, reproduce
 from giajax.apps.planning import Through, plan_command, plan_figure, plan_rows
@@ -139,6 +140,12 @@ def _unrolling() -> None:
     _save("unrolling", to_png(unrolling_figure(found)))
 
 
+def _life() -> None:
+    """The mock-up from its roll on."""
+    definition = giajax.Definition.load(ROOT / "missions" / "naraha.toml")
+    _save("life", to_png(life_figure(live(Mission.from_definition(definition)))))
+
+
 def _mission() -> None:
     """The mock-up, once."""
     definition = giajax.Definition.load(ROOT / "missions" / "naraha.toml")
@@ -199,6 +206,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     "wrinkling.png": _wrinkling,
     "filling.png filling_curve.png": _filling,
     "unrolling.png": _unrolling,
+    "life.png": _life,
     "mission.png": _mission,
     "shaping.png": _shaping,
     "moves.png": _moves,

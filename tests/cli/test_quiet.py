@@ -63,6 +63,7 @@ def test_a_quiet_command_prints_nothing_and_writes(folder, monkeypatch, capsys, 
         "fill",
         "unroll",
         "mission mission.toml",
+        "life mission.toml",
         "examples",
     ],
 )

@@ -5,6 +5,7 @@ from . import (
     experiments as experiments,
     filling as filling,
     joint as joint,
+    life as life,
     mission as mission,
     mjcf as mjcf,
     paper as paper,

@@ -76,6 +76,8 @@ Examples:
   giajax fill --out DIR     20 balloons filled with helium: fullness, lift
   giajax mission missions/naraha.toml
                             an operator, a camera at the tip, a 2 m opening
+  giajax life missions/naraha.toml --out DIR
+                            from the roll to the opening and back
   giajax hysteresis --out DIR
                             the paper's 1-link experiment, simulated
   giajax paper all --out DIR

@@ -82,6 +82,48 @@ def bag_state(gas: Gas, skin: Skin, stretch: PerBag, share: PerBag) -> BagState:
     return BagState(pressure, share / (1 + pressure / room))
 
 
+class BagEnergy(NamedTuple):
+    """What bags hold of energy, J a cubic metre of the tight bag without pressure."""
+
+    gas: PerBag
+    skin: PerBag
+
+
+# Where the pressure of a bag bends most, in slacks from full: ends of panels of Gauss's rule.
+_PANELS = np.array([-36.0, -12.0, -4.0, 4.0, 12.0, 36.0])
+_NODES = 16
+
+
+def bag_energy(gas: Gas, skin: Skin, stretch: PerBag, share: PerBag) -> BagEnergy:
+    """Work that the gas of bags could do until it is at the pressure of the room, and their skin.
+
+    Of an ideal gas at the temperature of the room that is P V log(P / p_room) - p V, with P the
+    absolute pressure and p that above the room, and of the skin the work of p on it. Where a bag
+    takes gas, both together grow by R T log(P / p_room) a kilogram.
+
+    Arguments: as of `bag_state`.
+    """
+    room, wrinkles = gas.ambient_pressure, 1 + skin.slack * _PANELS
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+
+    def of_bag(stretch: Scalar, share: Scalar) -> BagEnergy:
+        def state(share: Array) -> BagState:
+            return bag_state(gas, skin, stretch, share)
+
+        ends = limited(wrinkles, jnp.zeros_like(wrinkles), jnp.broadcast_to(share, wrinkles.shape))
+        ends = jnp.append(ends, share)
+        half = jnp.diff(ends)[:, None] / 2
+        at = ends[:-1, None] + half * jnp.asarray(1 + nodes, share.dtype)[None]
+        there, slope = jax.jvp(state, (at,), (jnp.ones_like(at),))
+        weighted = half * jnp.asarray(weights, share.dtype)[None] * there.pressure * slope.fullness
+        here = state(share)
+        free = (room + here.pressure) * jnp.log1p(here.pressure / room) - here.pressure
+        return BagEnergy(here.fullness * free, jnp.sum(weighted))
+
+    found: BagEnergy = jax.vmap(of_bag)(stretch, share)
+    return found
+
+
 Numbers = Float[Array, "..."]
 
 

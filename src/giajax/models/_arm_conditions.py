@@ -31,7 +31,6 @@ from ..schema import (
     INITIAL,
     JOINT_MEMORY,
     LINKS,
-    NECK,
     POINT_MASSES,
     ArmSection,
     InitialSection,
@@ -385,10 +384,6 @@ def arm_variants(arm: Arm) -> dict[str, Arm]:
     if arm.pneumatics is not None and arm.pneumatics.drive.lag is None:
         name = f"{DRIVE.lag.path} = {DRIVE.lag.default:g} {DRIVE.lag.unit}"
         others[name] = replace(arm, {DRIVE.lag.path: DRIVE.lag.default})
-    if arm.pneumatics is not None and arm.pneumatics.neck.radius is None:
-        # At a radius of 0 it is none, and no test can begin there.
-        name = f"{NECK.radius.path} = {NECK.radius.default:g} {NECK.radius.unit}"
-        others[name] = replace(arm, {NECK.radius.path: NECK.radius.default})
     if air.added_mass_coefficient is not None:
         other = "inertia" if air.added_mass == "kirchhoff" else "kirchhoff"
         others[f"arm.added_mass = {other}"] = with_air(added_mass=other)

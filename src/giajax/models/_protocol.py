@@ -33,6 +33,7 @@ class Line:
         radii: of the round body about it at each point, m; 0 for a thread.
         loose: where a thread hangs slack; None where it never does.
         pressure: inside, above the surroundings, Pa; None where it has none.
+        swelling: factor of the radii over time; None where they stay.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Line:
     radii: Float[np.ndarray, " point"]
     loose: Bool[np.ndarray, " sample"] | None = None
     pressure: Float[np.ndarray, " sample"] | None = None
+    swelling: Float[np.ndarray, " sample"] | None = None
 
     def __post_init__(self) -> None:
         if self.points.shape[1:] != (len(self.radii), 3):

@@ -51,6 +51,7 @@ class Show:
         recorded: recorded points by the names of the scene's markers, m, shape (sample, 3).
         notes: what is not shown, and why.
         bands: of its links, where the scene is an estimate.
+        captions: names of what begins at times, s, in their order.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Show:
     recorded: Mapping[str, Float[np.ndarray, "sample 3"]] = dataclasses.field(default_factory=dict)
     notes: tuple[str, ...] = ()
     bands: Bands | None = None
+    captions: tuple[tuple[float, str], ...] = ()
 
     def __post_init__(self) -> None:
         wrong = [name for name, points in self.recorded.items() if len(points) != self.samples]
@@ -84,6 +86,11 @@ class Show:
         # Half a nanosecond: times that were added up are samples still.
         after = int(np.searchsorted(self.clock, time + 5e-10, side="right"))
         return max(after - 1, 0)
+
+    def caption_at(self, sample: int) -> str:
+        """What goes on at a sample; empty where nothing has a name."""
+        time = self.clock[sample] + 5e-10
+        return next((name for begin, name in reversed(self.captions) if begin <= time), "")
 
     def marker_error(self, sample: int) -> float | None:
         """Root mean square distance of recorded from shown markers at a sample, m."""
@@ -253,6 +260,8 @@ def words(show: Show, sample: int, colour: str) -> str:
     # Whoever named the file may have written Markdown or HTML, which the page would show as such.
     name = re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", " ".join(show.name.split()))
     said = [f"**{name}** ({colour})"]
+    if caption := show.caption_at(sample):
+        said.append(caption)
     if show.scene.times is not None and show.samples > 1:
         said.append(f"time {show.clock[sample]:.2f} s")
     if (tip := show.scene.markers.get("tip")) is not None and np.all(np.isfinite(tip[sample])):

@@ -266,6 +266,8 @@ def segments(scene: Scene, sample: int, *, bodies: bool) -> tuple[np.ndarray, ..
     for line in scene.lines:
         if bool(np.any(line.radii > 0)) is bodies:
             points, radii = line.points[sample], (line.radii[1:] + line.radii[:-1]) / 2
+            if line.swelling is not None:
+                radii = line.swelling[sample] * radii
             pieces.append((points[:-1], points[1:], radii))
     return tuple(map(np.concatenate, zip(*pieces, strict=True)))
 
@@ -363,10 +365,23 @@ class Stage:
             # About the balloon and not about its axis: most bands would be hidden in it.
             at = bands.centres[sample], bands.halves[sample] + radii[:, None]
             self._balls("bands/ellipsoids", *at, self._colour, opacity=0.25)
+        if caption := self.show.caption_at(sample):
+            self._caption(f"{caption}, {self.show.clock[sample]:.0f} s")
         for arrows in scene.arrows:
             if arrows.name in self._layers:
                 colour = CONTACT if arrows.name == "contact" else AIR
                 self._arrows(arrows.name, arrows.origins[sample], arrows.vectors[sample], colour)
+
+    def _caption(self, text: str) -> None:
+        """Words above the scene."""
+        known = self._handles.get("caption")
+        if known is None:
+            place = self.show.scene.extent()[1] * [0.0, 0.0, 1.05]
+            self._handles["caption"] = self._api.add_label(
+                f"{self._root}/caption", text, position=place
+            )
+        else:
+            known.text = text
 
     def _tubes(self, name: str, pieces: Any, colour: Any, opacity: float | None = None) -> None:
         starts, ends, radii = pieces

@@ -1,0 +1,272 @@
+"""Gas of an arm of balloons: fed, at rest, let out, and pressed out as the arm is rolled up."""
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import optimistix
+
+from ...mechanics.inflation import (
+    BagState,
+    Filling,
+    Hole,
+    PerBag,
+    bag_energy,
+    bag_state,
+    inflow,
+    mass_flow,
+)
+from ...mechanics.unrolling import Unrolling, open_volume
+from ...runtime.arrays import Array, Bool, Float, Scalar, larger, smaller
+from ...runtime.programs import program
+
+_MOST_STEPS = 50_000
+_CLOSE = 1e-9  # of the time when something is reached
+
+_ALIKE = 0.01  # of the largest pressure
+
+LEFT_OPEN = 0.01
+"""Part of the arm that stays open in the roll, with its gas."""
+
+
+class GasWorks(NamedTuple):
+    """Work on gas and skin, J; what is lost is negative.
+
+    Attributes:
+        supply: what the gas that is fed could do at the pressure of the first bag.
+        ports: lost between the bags.
+        valve: lost where gas is let out.
+        hand: of the hand that rolls the arm up.
+    """
+
+    supply: Scalar
+    ports: Scalar
+    valve: Scalar
+    hand: Scalar
+
+
+class GasState(NamedTuple):
+    """Gas of each bag over what fills it; work of its pressure on the skin, J a cubic metre of the
+    tight bag; kg that were fed and let out; and works.
+    """
+
+    share: PerBag
+    skin: PerBag
+    fed: Scalar
+    let_out: Scalar
+    works: GasWorks
+
+
+class Handling(NamedTuple):
+    """What is done with the gas.
+
+    Attributes:
+        feeds: 1 where the supply is open, else 0.
+        settles: 1 where it ends when pressures are alike to 1 %, else 0.
+        opens: 1 where the first bag is open to the room, by a port as the others, else 0.
+        rolls: speed at which the arm is rolled up from its tip, m/s.
+        force: p pi r^2 that every link shall reach, N; what is negative is reached by all.
+        pressure: that no link shall exceed any more, Pa; what is negative is never reached.
+        duration: at most, s.
+    """
+
+    feeds: Scalar
+    settles: Scalar
+    opens: Scalar
+    rolls: Scalar
+    force: Scalar
+    pressure: Scalar
+    duration: Scalar
+
+
+class GasCourse(NamedTuple):
+    """Gas over time, at evenly spaced times (s) from 0 until the end.
+
+    Attributes:
+        share: as of `GasState`, shape (time, bag).
+        pressure: of each link above that of the room, Pa, shape (time, link).
+        fullness: volume of each link over that of its tube, shape (time, link).
+        lift: mass that all links together could carry beside themselves, kg, shape (time,).
+        stored: energy of gas and skin at the beginning and at the end, J.
+        mass: of the gas by its pressures and volumes at the beginning and at the end, kg.
+        end: the last state.
+        reached: whether what was to be reached was reached.
+        succeeded: whether steps came to the end.
+    """
+
+    times: Float[Array, " time"]
+    share: Float[Array, "time bag"]
+    pressure: Float[Array, "time link"]
+    fullness: Float[Array, "time link"]
+    lift: Float[Array, " time"]
+    stored: Float[Array, "2"]
+    mass: Float[Array, "2"]
+    end: GasState
+    reached: Bool[Array, ""]
+    succeeded: Bool[Array, ""]
+
+
+def _open_part(unrolling: Unrolling, rolls: Scalar, time: Scalar) -> PerBag:
+    """Part of each bag that is not rolled up."""
+    filling = unrolling.filling
+    volume = open_volume(unrolling, unrolling.length - rolls * time)
+    bags = jnp.zeros_like(filling.volume).at[filling.bag_of_link].add(volume)
+    return larger(bags / filling.volume, LEFT_OPEN)
+
+
+def _bags(filling: Filling, share: PerBag, part: PerBag) -> BagState:
+    """Pressure and fullness of the part of each bag that is open."""
+    return bag_state(filling.gas, filling.skin, filling.stretch, share / part)
+
+
+def gas_rates(time: Any, state: GasState, args: tuple[Unrolling, Handling]) -> GasState:
+    """Rates of change of the gas, and the power of what is done with it."""
+    unrolling, handling = args
+    filling = unrolling.filling
+    gas, full, ports = filling.gas, filling.full_mass, filling.ports
+    part, closing = jax.jvp(
+        lambda t: _open_part(unrolling, handling.rolls, t), (time,), (jnp.ones_like(time),)
+    )
+    bags = _bags(filling, state.share, part)
+    room = gas.ambient_pressure
+    absolute = room + bags.pressure
+    between = mass_flow(gas, Hole(*jax.tree.leaves(ports)), absolute[:-1], absolute[1:])
+    fed = handling.feeds * inflow(gas, filling.supply, bags.pressure[0], state.fed)
+    first = Hole(
+        jnp.ravel(ports.diameter)[0], jnp.ravel(ports.length)[0], ports.discharge_coefficient
+    )
+    let_out = handling.opens * mass_flow(gas, first, absolute[0], room)
+    into = jnp.concatenate([(fed - let_out)[None], between])
+    out = jnp.concatenate([between, jnp.zeros_like(fed)[None]])
+    # What a kilogram of gas could do on its way to the pressure of the room.
+    worth = gas.specific_energy * jnp.log1p(bags.pressure / room)
+    changing = (into - out) / full
+    stretching = jax.jvp(
+        lambda inside: _bags(filling, inside, jnp.ones_like(part)).fullness,
+        (state.share / part,),
+        ((changing - state.share / part * closing) / part,),
+    )[1]
+    pressed = bags.pressure * bags.fullness - state.skin
+    works = GasWorks(
+        supply=worth[0] * fed,
+        ports=-jnp.sum((worth[:-1] - worth[1:]) * between),
+        valve=-worth[0] * let_out,
+        hand=-jnp.sum(pressed * filling.volume * closing),
+    )
+    return GasState(changing, bags.pressure * stretching, fed, let_out, works)
+
+
+def _links_of(filling: Filling, state: BagState) -> tuple[Array, Array]:
+    here = filling.bag_of_link
+    return state.pressure[here], state.fullness[here]
+
+
+def _course_like(
+    unrolling: Unrolling, handling: Handling, begin: GasState, tolerance: Scalar, times: int
+) -> GasCourse:
+    """A course as of `gas_course`, without steps."""
+    del handling, tolerance
+    links = jnp.zeros((times, unrolling.filling.arm.count), begin.fed.dtype)
+    grid, both, yes = links[:, 0], links[:2, 0], jnp.zeros((), bool)
+    share = jnp.zeros((times, begin.share.size), begin.fed.dtype)
+    return GasCourse(grid, share, links, links, grid, both, both, begin, yes, yes)
+
+
+@functools.partial(program, like=_course_like)
+def gas_course(
+    unrolling: Unrolling, handling: Handling, begin: GasState, tolerance: Scalar, times: int
+) -> GasCourse:
+    """Gas from a state on, until what is to be reached is reached, or the duration is over."""
+    filling = unrolling.filling
+    area = jnp.pi / 4 * filling.arm.links.diameter**2
+
+    def beyond(t: Scalar, y: GasState, args: Any, **_: object) -> Scalar:
+        part = _open_part(unrolling, handling.rolls, t)
+        pressure = _links_of(filling, _bags(filling, y.share, part))[0]
+        full = jnp.min(y.share) - 1
+        holds = jnp.min(pressure * area) / larger(handling.force, 1) - 1
+        filled: Array = jnp.where(handling.force < 0, full, smaller(full, holds))
+        emptied = handling.pressure - jnp.max(pressure)
+        never = -jnp.ones_like(filled)
+        left = jnp.where(handling.pressure < 0, never, emptied)
+        alike = jnp.min(pressure) - (1 - _ALIKE) * jnp.max(pressure)
+        left = jnp.where(handling.settles > 0, alike, left)
+        reached: Array = jnp.where(handling.feeds > 0, filled, left)
+        return reached
+
+    zero = jnp.zeros_like(begin.fed)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(gas_rates),
+        # As in `fill`: pressures of tight bags settle within a second.
+        diffrax.Kvaerno5(),
+        t0=zero,
+        t1=handling.duration,
+        dt0=handling.duration * 1e-6,
+        y0=begin,
+        args=(unrolling, handling),
+        stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+        saveat=diffrax.SaveAt(dense=True, t1=True),
+        event=diffrax.Event(beyond, optimistix.Newton(rtol=_CLOSE, atol=_CLOSE)),
+        adjoint=diffrax.ForwardMode(),
+        max_steps=_MOST_STEPS,
+        throw=False,
+    )
+    assert solution.ts is not None
+    last = solution.ts[-1]
+    grid = jnp.linspace(0, last, times, dtype=last.dtype)
+    end: GasState = jax.tree.map(lambda each: each[-1], solution.ys)
+
+    def at(t: Array, share: PerBag) -> tuple[Array, Array, Array]:
+        part = _open_part(unrolling, handling.rolls, t)
+        state = _bags(filling, share, part)
+        pressure, fullness = _links_of(filling, state)
+        displaced = filling.arm.air.density * state.fullness * part - filling.gas.density * share
+        lift = jnp.sum(displaced * filling.volume) - jnp.sum(filling.borne_mass)
+        return pressure, fullness * part[filling.bag_of_link], lift
+
+    def held(t: Array, share: PerBag) -> tuple[Array, Array]:
+        """Energy, J, and mass, kg."""
+        part = _open_part(unrolling, handling.rolls, t)
+        energy = bag_energy(filling.gas, filling.skin, filling.stretch, share / part)
+        state = _bags(filling, share, part)
+        pressed = 1 + state.pressure / filling.gas.ambient_pressure
+        tight = part * filling.volume
+        mass = jnp.sum(filling.gas.density * pressed * state.fullness * tight)
+        return jnp.sum((energy.gas + energy.skin) * tight), mass
+
+    share = jax.vmap(solution.evaluate)(grid).share
+    pressure, fullness, lift = jax.vmap(at)(grid, share)
+    ends = jnp.stack([begin.share, end.share])
+    stored, mass = jax.vmap(held)(jnp.stack([zero, last]), ends)
+    return GasCourse(
+        grid,
+        share,
+        pressure,
+        fullness,
+        lift,
+        stored,
+        mass,
+        end,
+        diffrax.is_event(solution.result),
+        diffrax.is_okay(solution.result),
+    )
+
+
+def as_one_bag(unrolling: Unrolling) -> Unrolling:
+    """The arm with the ports between its links left out, as `unroll` has it while gas drives it."""
+    filling = unrolling.filling
+    ports = jax.tree.map(lambda each: jnp.ravel(each)[0], filling.ports)
+    shared = (tuple(range(1, filling.arm.count + 1)),) if filling.arm.count > 1 else ()
+    return dataclasses.replace(
+        unrolling, filling=dataclasses.replace(filling, ports=ports, shared=shared)
+    )
+
+
+def gas_at(filling: Filling, share: Array) -> GasState:
+    """Bags with this share of the gas that fills them, of which nothing was exchanged yet."""
+    zero = jnp.zeros((), share.dtype)
+    skin = bag_energy(filling.gas, filling.skin, filling.stretch, share).skin
+    return GasState(share, skin, zero, zero, GasWorks(zero, zero, zero, zero))

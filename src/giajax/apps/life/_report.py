@@ -1,0 +1,312 @@
+"""A life as a table, plain data, a picture and a scene that a page plays."""
+
+import dataclasses
+import json
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ...models import Line, Scene, arm_scene
+from ...report import BLUE, GREEN, GREY, INK, LIGHT, VERMILLION, new_figure, plain, to_csv, to_png
+from ...runtime.records import plain_data
+from ...simulation import at_rest
+from ..mission import motion
+from ..viewer import Show
+from ._life import Balance, Life, Phase
+
+LIFE_FILES = ("life.json", "life.csv", "life.png")
+
+_MINUTE = 60.0
+_Numbers = npt.NDArray[np.float64]
+
+
+def life_files(life: Life) -> dict[str, bytes]:
+    """Numbers and a picture of a life, by the names of `LIFE_FILES`."""
+    return {
+        "life.json": f"{life_json(life)}\n".encode(),
+        "life.csv": to_csv(_columns(life)),
+        "life.png": to_png(life_figure(life)),
+    }
+
+
+def _columns(life: Life) -> dict[str, Any]:
+    """A row for each phase; works that it does not have are 0."""
+    phases = life.phases
+    names = dict.fromkeys(name for each in phases for name in each.energy.works)
+    columns: dict[str, Any] = {"phase": [each.name for each in phases]}
+    facts = {
+        "begin_s": "begin",
+        "end_s": "end",
+        "fed_kg": "fed",
+        "let_out_kg": "let_out",
+        "gas_kg": "gas",
+        "lift_kg": "lift",
+        "margin_N": "margin",
+        "weakest_link": "weakest",
+    }
+    columns |= {key: [getattr(each, name) for each in phases] for key, name in facts.items()}
+    columns["touched"] = [" ".join(_touched(each)) for each in phases]
+    columns["stored_J"] = [each.energy.stored for each in phases]
+    for name in names:
+        key = f"{name.replace(' ', '_')}_work_J"
+        columns[key] = [each.energy.works.get(name, 0.0) for each in phases]
+    columns["imbalance_J"] = [each.energy.imbalance for each in phases]
+    return columns
+
+
+def _touched(phase: Phase) -> list[str]:
+    """Names of obstacles that links touched."""
+    return [each.obstacle for each in phase.touched if each.links]
+
+
+def _balance(balance: Balance) -> dict[str, Any]:
+    return {
+        "stored_J": balance.stored,
+        "works_J": dict(balance.works),
+        "lost_J": balance.lost,
+        "exchanged_J": balance.exchanged,
+        "imbalance_J": balance.imbalance,
+    }
+
+
+def life_json(life: Life) -> str:
+    """A life as JSON text."""
+    made, mission = life.unrolled.unrolling, life.mission
+    changed, impulses = life.momentum
+    phases = [
+        {
+            "phase": each.name,
+            "begin_s": each.begin,
+            "end_s": each.end,
+            "fed_kg": each.fed,
+            "let_out_kg": each.let_out,
+            "gas_kg": each.gas,
+            "lift_kg": each.lift,
+            "margin_N": each.margin,
+            "weakest_link": each.weakest,
+            "pressure_Pa": each.pressure,
+            "fullness": each.fullness,
+            "touched": _touched(each),
+            "energy": _balance(each.energy),
+        }
+        for each in life.phases
+    ]
+    facts = {
+        "duration_s": life.duration,
+        "reached_s": life.outcome.reached,
+        "reason": life.outcome.reason or None,
+        "muscle_pull_N": life.pull,
+        "helium_imbalance": life.helium,
+        "energy_imbalance": life.energy_imbalance,
+        "momentum_imbalance": life.momentum_imbalance,
+        "repeat_apart_rad": life.apart,
+        "energy": _balance(life.energy),
+        "momentum_change_N_s": changed,
+        "impulses_N_s": impulses,
+        "arm_lift_off_s": life.unrolled.arm_lift_off,
+        "phases": phases,
+        "mission": mission.section.contents(),
+        "unrolling": made.definition(),
+        "filling": made.filling.definition(),
+    }
+    return json.dumps(plain_data(facts), indent=2)
+
+
+def _gas_rows(life: Life) -> dict[str, _Numbers]:
+    """Time, s, and gas, kg, least and largest pressure, Pa, and lift, kg, over the life."""
+    filling = life.unrolled.unrolling.filling
+    full = np.asarray(filling.full_mass)
+    first = life.phases[0]
+    parts: list[tuple[_Numbers, ...]] = []
+    times = life.unrolled.times
+    one = np.ones_like(times)
+    least = float(life.courses["fill"].lift[0])
+    parts.append((times, life.unrolled.gas, 0 * one, life.unrolled.pressure, least * one))
+    for phase in life.phases[1:]:
+        course = life.courses.get(phase.name)
+        if course is None:
+            row = (phase.gas, phase.pressure.min(), phase.pressure.max(), phase.lift)
+            ends = np.array([phase.begin, phase.end])
+            parts.append((ends, *(np.full(2, each) for each in row)))
+            continue
+        share, pressure = np.asarray(course.share), np.asarray(course.pressure)
+        gas = share @ full if share.shape[1] == full.size else share[:, 0] * full.sum()
+        times = phase.begin + np.asarray(course.times)
+        rows = (gas, pressure.min(axis=1), pressure.max(axis=1), np.asarray(course.lift))
+        parts.append((times, *rows))
+    assert first.begin == 0
+    names = ("time", "gas", "least", "most", "lift")
+    return dict(zip(names, map(np.concatenate, zip(*parts, strict=True)), strict=True))
+
+
+def life_figure(life: Life) -> Figure:
+    """Gas, pressures and lift over the phases, energies of each, and what the mission did."""
+    title = f"Life of {life.mission.model.arm.count} links: {life.duration / _MINUTE:.1f} min"
+    figure = new_figure(10.0, 7.0, title)
+    rows = _gas_rows(life)
+    minutes = rows["time"] / _MINUTE
+    axes = figure.add_subplot(2, 2, 1)
+    axes.plot(minutes, rows["gas"] * 1e3, color=BLUE, linewidth=1.4)
+    plain(axes, "Gas in the arm", "time (min)", "g")
+    _mark(axes, life)
+    axes = figure.add_subplot(2, 2, 2)
+    axes.plot(minutes, rows["most"], color=VERMILLION, linewidth=1.2, label="highest")
+    axes.plot(minutes, rows["least"], color=BLUE, linewidth=1.2, label="lowest")
+    area = np.pi / 4 * float(np.max(life.mission.model.arm.links.diameter)) ** 2
+    axes.axhline(life.pull / area, color=INK, linewidth=0.8, linestyle="--", label="holds a muscle")
+    axes.legend(fontsize=8, frameon=False)
+    plain(axes, "Pressure in the links", "time (min)", "Pa above the room")
+    _mark(axes, life)
+    axes = figure.add_subplot(2, 2, 3)
+    _energies(axes, life)
+    axes = figure.add_subplot(2, 2, 4)
+    _works(axes, life)
+    return figure
+
+
+def _mark(axes: Axes, life: Life) -> None:
+    """Every other phase on grey, and the names of those that are long enough."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.12 * (high - low))
+    for index, phase in enumerate(life.phases):
+        if index % 2:
+            axes.axvspan(phase.begin / _MINUTE, phase.end / _MINUTE, color=LIGHT, linewidth=0)
+        if phase.end - phase.begin > 0.06 * life.duration:
+            middle = (phase.begin + phase.end) / 2 / _MINUTE
+            at = high + 0.06 * (high - low)
+            axes.text(middle, at, phase.name, fontsize=7, color=INK, ha="center", va="center")
+
+
+def _energies(axes: Axes, life: Life) -> None:
+    """What came in, was lost and was stored in each phase."""
+    places = np.arange(len(life.phases))
+    came = [sum(max(x, 0.0) for x in each.energy.works.values()) for each in life.phases]
+    rows = {
+        "came in": (came, BLUE),
+        "lost or given": ([each.energy.lost for each in life.phases], VERMILLION),
+        "stored": ([abs(each.energy.stored) for each in life.phases], GREEN),
+    }
+    for offset, (name, (heights, colour)) in zip((-0.27, 0, 0.27), rows.items(), strict=True):
+        axes.bar(places + offset, np.maximum(heights, 1e-6), 0.27, color=colour, label=name)
+    axes.set_yscale("log")
+    axes.set_xticks(places, [each.name for each in life.phases], rotation=45, ha="right")
+    axes.legend(fontsize=7, frameon=False)
+    plain(axes, "Energy of each phase", "", "J")
+    axes.tick_params(which="both", labelsize=7)
+
+
+def _works(axes: Axes, life: Life) -> None:
+    """Works along the mission."""
+    colours = iter((BLUE, VERMILLION, GREEN, INK, GREY, "black"))
+    for name, row in life.audit.works._asdict().items():
+        if np.any(np.asarray(row) != 0):
+            axes.plot(life.outcome.times, row, color=next(colours), linewidth=1.2, label=name)
+    axes.axhline(0, color=GREY, linewidth=0.8)
+    axes.legend(fontsize=7, frameon=False)
+    plain(axes, "Work on the motion in the mission", "time (s)", "J")
+
+
+_FRAMES = 40  # of a phase in which the gas alone changes
+_FLAT = 0.1  # radius of an empty link as it is drawn, over that of a full one
+
+
+def life_show(life: Life) -> Show:
+    """All phases as one scene on one clock, for a page of the viewer.
+
+    While gas moves, links lie on the level of the base, away from the opening; what is rolled is
+    drawn across, as wide as it is. Raising and lowering turn the arm about its base.
+    """
+    arm = life.mission.model.arm
+    flown = arm_scene(motion(life.mission, life.outcome))
+    away = -np.asarray(life.mission.opening.centre) * [1.0, 1.0, 0.0]
+    length = float(np.linalg.norm(away))
+    lying = away / length if length > 0 else np.array([-1.0, 0.0, 0.0])
+    lengths = np.asarray(arm.links.length)
+    ends = np.cumsum(lengths)
+    across = np.cross([0.0, 0.0, 1.0], lying)
+    half = np.asarray(arm.links.diameter)[:, None] / 2 * across
+    straight = _straight(life)
+
+    def laid(paid_out: float) -> _Numbers:
+        """Both ends of each link, shape (link, 2, 3)."""
+        begin, end = ends - lengths, np.minimum(ends, paid_out)
+        out = np.stack([begin, end], axis=1)[:, :, None] * lying
+        roll = paid_out * lying + np.stack([-half, half], axis=1)
+        rolled: _Numbers = np.where((begin < paid_out)[:, None, None], out, roll)
+        return rolled
+
+    points, fullness, times = [], [], []
+
+    def add(when: npt.ArrayLike, rows: Any, full: Any) -> None:
+        times.append(np.asarray(when, dtype=float))
+        points.append(np.asarray(rows))
+        fullness.append(np.broadcast_to(full, (len(times[-1]), arm.count)))
+
+    unrolled = life.unrolled
+    some = _some(len(unrolled.times))
+    add(unrolled.times[some], [laid(x) for x in unrolled.paid_out[some]], 0.0)
+    turned = _turned(lying, straight, lengths)
+    for phase in life.phases[1:]:
+        course = life.courses.get(phase.name)
+        clock = np.linspace(phase.begin, phase.end, _FRAMES)
+        part = np.linspace(0, 1, _FRAMES)
+        if phase.name == "mission":
+            links = [line.points for line in flown.lines if line.name == "link"]
+            add(phase.begin + life.outcome.times, np.stack(links, axis=1), phase.fullness)
+        elif phase.name in ("raise", "lower"):
+            order = part if phase.name == "raise" else part[::-1]
+            add(clock, [turned(x) for x in order], phase.fullness)
+        else:
+            assert course is not None
+            row = _some(len(course.times))
+            rolls = phase.name == "roll up"
+            rest = 1 - np.asarray(course.times)[row] / float(course.times[-1])
+            out = [laid(ends[-1] * (x if rolls else 1.0)) for x in rest]
+            add(phase.begin + np.asarray(course.times)[row], out, np.asarray(course.fullness)[row])
+    # A clock that stands still for a moment between two phases.
+    clock = np.concatenate(times)
+    clock, kept = np.unique(clock, return_index=True)
+    place = np.concatenate(points)[kept]
+    wide = np.concatenate(fullness)[kept]
+    swelling = np.sqrt(np.clip(wide, _FLAT**2, 1))
+    radii = np.asarray(arm.links.diameter) / 2
+    lines = tuple(
+        Line("link", place[:, k], np.full(2, radii[k]), swelling=swelling[:, k])
+        for k in range(arm.count)
+    )
+    scene = Scene(lines, {"tip": place[:, -1, 1]}, clock, (), flown.blocks)
+    captions = tuple((each.begin, each.name) for each in life.phases)
+    return dataclasses.replace(Show("life", scene), captions=captions)
+
+
+def _some(rows: int) -> npt.NDArray[np.int64]:
+    return np.unique(np.linspace(0, rows - 1, 2 * _FRAMES).astype(int))
+
+
+def _straight(life: Life) -> _Numbers:
+    """Direction of the straight arm as the mission begins."""
+    scene = arm_scene(at_rest(life.mission.model.arm, jnp.zeros(life.mission.model.arm.count)))
+    first = scene.lines[0].points[0]
+    along: _Numbers = (first[1] - first[0]) / np.linalg.norm(first[1] - first[0])
+    return along
+
+
+def _turned(lying: _Numbers, straight: _Numbers, lengths: _Numbers) -> Any:
+    """Both ends of each link of an arm that is turned from one direction to another by a part."""
+    cosine = float(np.clip(lying @ straight, -1, 1))
+    angle = np.arccos(cosine)
+    aside = straight - cosine * lying
+    size = float(np.linalg.norm(aside))
+    aside = aside / size if size > 1e-9 else np.array([0.0, 0.0, 1.0])
+    ends = np.cumsum(lengths)
+
+    def at(part: float) -> _Numbers:
+        along = np.cos(part * angle) * lying + np.sin(part * angle) * aside
+        rows: _Numbers = np.stack([ends - lengths, ends], axis=1)[:, :, None] * along
+        return rows
+
+    return at

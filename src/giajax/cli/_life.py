@@ -1,0 +1,156 @@
+"""`giajax life`: an arm unrolled, filled, raised, flown on its mission and deflated."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..runtime.process import configure
+from ._commands import (
+    Force,
+    Json,
+    Quiet,
+    Texts,
+    argument,
+    check_quiet,
+    command,
+    origin,
+    print_table,
+    say_written,
+    write_folder,
+)
+from ._values import settings, with_settings
+
+if TYPE_CHECKING:
+    from ..apps.life import Life
+
+_RUN = ("run.csv", "run.toml")
+_PAGE = "life.html"
+
+
+@command(
+    """\b
+Examples:
+  giajax life missions/naraha.toml --out life
+                            all of it, with files and a page that plays it
+  giajax life missions/naraha.toml --set supply.flow=0.0005 --no-page
+                            fed half as fast, as a table
+  giajax life missions/naraha.toml --seed 4 --json
+                            in other air, as JSON
+
+\b
+It writes
+  life.json, life.csv     each phase: time, gas, lift, margin, energy
+  life.png                gas, pressures and works as a picture
+  life.html               a page that plays all phases
+  run.csv, run.toml       the mission as a run
+
+The file is that of giajax mission. What differs of the roll and of the gas
+stands in its [unrolling] and [filling].""",
+    group="arm",
+)
+def life(
+    context: typer.Context,
+    file: Annotated[Path, argument("MISSION", "Its file, as of giajax mission.")],
+    seed: Annotated[int, "N", "Of air and pixels.", 0] = 0,
+    pairs: Annotated[Texts, "PATH=VALUE", "A parameter, SI.", "--set"] = None,
+    out: Annotated[Path | None, "DIR", "Write numbers, a picture and a page there."] = None,
+    no_page: Annotated[bool, "Leave the page out."] = False,
+    as_json: Json = False,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Unroll, fill, raise, fly and deflate an arm in one run.
+
+    Gas is fed until every link holds the pull of a muscle, and the mission is flown with the
+    pressures of then. Says of each phase what it took, and whether helium, energy and momentum
+    are balanced.
+    """
+    from ..recordings import Definition, check_output_folder, write_run
+
+    check_quiet(quiet, written=out, as_json=as_json, by="--out DIR or --json")
+    values = settings(pairs)
+    definition = Definition.load(file)
+    configure()
+    from ..apps.life import LIFE_FILES, life_files, life_json, life_show, live
+    from ..apps.mission import Mission, recorded
+    from ..mechanics.inflation import Filling
+    from ..mechanics.unrolling import Unrolling
+    from ..models import ArmModel
+    from ..schema import FILM, GAS, HAND, PORTS, ROLL, SKIN, SUPPLY
+
+    paged = out is not None and not no_page
+    if paged:
+        from ..apps.viewer import check_viser, recording
+
+        check_viser()
+    names = (*LIFE_FILES, *_RUN, *([_PAGE] if paged else []))
+    if out is not None:
+        check_output_folder(out, names, force=force)
+    # What an arm does not have is of the roll or of the gas.
+    groups = (GAS, SKIN, PORTS, SUPPLY, ROLL, FILM, HAND)
+    others = {each.path for group in groups for each in group}
+    own = {path: value for path, value in values.items() if path.partition("[")[0] in others}
+    model = ArmModel.stated_in(definition)
+    model = with_settings(model, {k: v for k, v in values.items() if k not in own})
+    mission = Mission.from_definition(definition, str(file), model=model)
+    filling = Filling.from_section(definition.filling, model.arm)
+    unrolling = with_settings(Unrolling.from_section(definition.unrolling, filling), own)
+    watched = sys.stderr.isatty() and not quiet
+    say = (lambda what: typer.echo(f"{what} ...", err=True)) if watched else None
+    found = live(mission, unrolling, seed=seed, on_phase=say)
+    if out is not None:
+        files = life_files(found)
+        if paged:
+            if say is not None:
+                say("page")
+            files[_PAGE] = recording([life_show(found)])
+        write_folder(out, files, force=force)
+        run = recorded(found.mission, found.outcome, name="run", origin=origin(context))
+        write_run(out / "run.csv", run.times, run.values, definition=run.definition, force=force)
+    if as_json:
+        typer.echo(life_json(found))
+    if as_json or quiet:
+        return
+    _show(found)
+    if out is not None:
+        say_written(out, names)
+
+
+def _show(life: "Life") -> None:
+    """A row for each phase, and what is so of the whole."""
+    rows = []
+    for each in life.phases:
+        hits = [touched.obstacle for touched in each.touched if touched.links]
+        came = sum(max(work, 0.0) for work in each.energy.works.values())
+        rows.append(
+            (
+                each.name,
+                f"{(each.end - each.begin) / 60:.2f}",
+                f"{1e3 * each.fed:.2f}",
+                f"{1e3 * each.let_out:.2f}",
+                f"{1e3 * each.lift:.1f}",
+                f"{each.margin:.1f}",
+                str(each.weakest),
+                ", ".join(hits) or None,
+                f"{came:.3f}",
+                f"{each.energy.lost:.3f}",
+                f"{each.energy.stored:.3f}",
+            )
+        )
+    headings = ["phase", "min", "fed g", "out g", "lift g", "margin N", "link", "touched"]
+    print_table([*headings, "in J", "out J", "stored J"], rows)
+    outcome = life.outcome
+    how = f"not inside: {outcome.reason}"
+    if outcome.reached is not None:
+        how = f"inside after {outcome.reached:.1f} s of the mission"
+    typer.echo(f"\n{how}; {life.duration / 60:.1f} min in all")
+    typer.echo(
+        f"every link holds the {life.pull:.1f} N of a muscle at its limit after feeding on for "
+        f"{life.phases[2].end - life.phases[2].begin:.1f} s"
+    )
+    typer.echo(
+        f"not balanced: helium {life.helium:.1e} of what fills the arm, energy "
+        f"{life.energy_imbalance:.1e} of what was exchanged, momentum {life.momentum_imbalance:.1e}"
+    )
