@@ -17,6 +17,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ..mechanics.arm import Arm
 from ..mechanics.inflation import (
     STRENGTHS,
     BagState,
@@ -28,6 +29,7 @@ from ..mechanics.inflation import (
     inflow,
     mass_flow,
 )
+from ..mechanics.joint import BraidedMuscle
 from ..models import arm_to_definition, preset_of
 from ..recordings import to_toml
 from ..report import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png
@@ -38,7 +40,7 @@ from ..runtime.process import cores
 from ..runtime.programs import program
 from ..runtime.records import plain_data
 from ..runtime.text import InputError
-from ..schema import GAS, LINKS, PORTS, SKIN, SUPPLY, collapse, largest_pull
+from ..schema import AT_REST, GAS, LINKS, PORTS, SKIN, SUPPLY, collapse
 from ..schema.parameters import check_within_bounds, declared, get, replace
 
 _MOST_STEPS = 20_000
@@ -268,10 +270,16 @@ class Filled:
     def collapse(self) -> str | None:
         """Which links end with too little pressure for a muscle at its limit; None: none do."""
         arm = self.filling.arm
-        law = None if arm.pneumatics is None else arm.pneumatics.muscle.name
-        known = {path: np.asarray(one.value(arm)) for path, one in declared(arm).items()}
-        diameter = known[LINKS.diameter.path]
-        return collapse(self.inflation[LINKS.pressure.path], diameter, largest_pull(known, law))
+        pressure = self.inflation[LINKS.pressure.path]
+        return collapse(pressure, np.asarray(arm.links.diameter), muscle_pull(arm))
+
+
+def muscle_pull(arm: Arm) -> float:
+    """Force of one muscle of an arm at its limit of pressure, N; of a braided one without any."""
+    muscle = BraidedMuscle() if arm.pneumatics is None else arm.pneumatics.muscle
+    still = jnp.zeros_like(muscle.pressure_limit)
+    length = jnp.full_like(still, AT_REST.length.default)
+    return float(jnp.max(muscle.force(muscle.pressure_limit, still, length)))
 
 
 def fill(

@@ -151,6 +151,6 @@ def _show(life: "Life") -> None:
         f"{life.phases[2].end - life.phases[2].begin:.1f} s"
     )
     typer.echo(
-        f"not balanced: helium {life.helium:.1e} of what fills the arm, energy "
+        f"imbalance: helium {life.helium:.1e} of what fills the arm, energy "
         f"{life.energy_imbalance:.1e} of what was exchanged, momentum {life.momentum_imbalance:.1e}"
     )

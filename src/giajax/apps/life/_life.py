@@ -11,14 +11,12 @@ import numpy.typing as npt
 
 from ...mechanics.arm import STANDARD_GRAVITY, pose
 from ...mechanics.inflation import Filling
-from ...mechanics.joint import BraidedMuscle
 from ...mechanics.unrolling import Unrolling
 from ...runtime.arrays import Array
 from ...runtime.programs import program
 from ...runtime.text import InputError
-from ...schema import AT_REST
 from ...schema.parameters import replace
-from ..filling import LIMIT
+from ..filling import LIMIT, muscle_pull
 from ..mission import Mission, Outcome, Touched
 from ..unrolling import Unrolled, unroll
 from ._flight import Audit, audit, check_audited
@@ -202,7 +200,7 @@ def live(
         raise InputError(
             f"the arm is not {what} after {LIMIT / 60:g} min: give a stronger supply, or hand"
         )
-    pull = muscle_pull(mission)
+    pull = muscle_pull(arm)
     filling = made.filling
     # Links of one bag have the same share of what fills them.
     share = filled.gas[0] / np.asarray(filling.gas.density * arm.links.volume)
@@ -251,15 +249,6 @@ def live(
     phases = _phases(flown, unrolled, outcome, courses, found, pull)
     apart = float(np.max(np.abs(np.asarray(found.angles) - outcome.angles)))
     return Life(flown, unrolled, outcome, phases, courses, found, pull, apart)
-
-
-def muscle_pull(mission: Mission) -> float:
-    """Force of one muscle of an arm at its limit of pressure, N; of a braided one without any."""
-    pneumatics = mission.model.arm.pneumatics
-    muscle = BraidedMuscle() if pneumatics is None else pneumatics.muscle
-    still = jnp.zeros_like(muscle.pressure_limit)
-    length = jnp.full_like(still, AT_REST.length.default)
-    return float(jnp.max(muscle.force(muscle.pressure_limit, still, length)))
 
 
 def _gas(unrolling: Unrolling, begin: GasState, **what: float) -> GasCourse:
