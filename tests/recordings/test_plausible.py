@@ -279,14 +279,27 @@ def test_a_link_that_one_muscle_folds_is_named(arm, sentence):
 
 
 @quick
-@pytest.mark.parametrize(("radius", "held"), [(0.03, "2.83 N"), (0.04, None)])
-def test_a_neck_that_muscles_crush_is_named(radius, held):
-    """2 x 0.3 N m at 0.18 m against p pi r^2 of 1 kPa."""
+@pytest.mark.parametrize(
+    ("radius", "last", "joint", "held"),
+    [
+        (0.03, 1.0, 1, "2.83 N"),
+        (0.04, 1.0, None, None),
+        # Joint 20 is a yaw joint, without muscles.
+        (0.04, 0.02, None, None),
+        (0.04, [0.02, 0.02], 19, "0.101 N"),
+    ],
+)
+def test_a_neck_that_muscles_crush_is_named(radius, last, joint, held):
+    """2 x 0.3 N m at 0.18 m against p pi r^2 of 1 kPa, or less in the last links."""
     columns, definition = right("base_step", np.random.default_rng(4))
     parameters = {"neck.radius": radius}
+    last = np.ravel(last).tolist()
+    gas = [1.0] * (20 - len(last)) + last
     definition["arm"] = {"links": 20, "muscles": "pitch", "parameters": parameters}
+    definition["arm"]["link_pressure_kPa"] = gas
     said = [odd.sentence for odd in found(columns, definition) if "neck" in odd.sentence]
-    whole = f"press the straight joint together by 3.33 N, and the gas in its neck holds {held}"
+    whole = f"joint {joint}, straight, together by at least 3.33 N, and the gas in its neck holds "
+    whole += str(held)
     assert [whole in each for each in said] == [True] * (held is not None)
 
 

@@ -294,7 +294,10 @@ def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg
         rows = stable == held
         left.plot(target[rows], angle[rows], ".", color=colour, markersize=4, label=name)
     plain(left, f"equilibria of its two pressures ({DEGREE})")
-    angle_axis(left, "target angle")
+    # Of the angles beyond, the pressures crush the neck.
+    most = float(np.max(np.abs(target)))
+    beyond = f", beyond {most:g}{DEGREE} a crushed neck" if most < end - 1 else ""
+    angle_axis(left, f"target angle{beyond}")
     left.set_ylim(-end, end)
     left.set_yticks(np.arange(-end, end + 1, 20))
     left.legend(loc="upper left", **_SMALL)

@@ -146,11 +146,16 @@ def _show(life: "Life") -> None:
     if outcome.reached is not None:
         how = f"inside after {outcome.reached:.1f} s of the mission"
     typer.echo(f"\n{how}; {life.duration / 60:.1f} min in all")
-    typer.echo(
-        f"every link holds the {life.pull:.1f} N of a muscle at its limit after feeding on for "
-        f"{life.phases[2].end - life.phases[2].begin:.1f} s"
-    )
+    _, _, feed, _, mission, *_ = life.phases
+    fed = f"after feeding on for {feed.end - feed.begin:.1f} s"
+    holds = f"every link holds the {life.pull:.1f} N of a muscle at its limit {fed}"
+    if mission.margin < 0:
+        holds += f", but in the mission link {mission.weakest} is short of it"
+    typer.echo(holds)
     typer.echo(
         f"imbalance: helium {life.helium:.1e} of what fills the arm, energy "
         f"{life.energy_imbalance:.1e} of what was exchanged, momentum {life.momentum_imbalance:.1e}"
+    )
+    typer.echo(
+        f"those of the mission are of a repeat, whose angles are within {life.apart:.1e} rad"
     )

@@ -80,7 +80,7 @@ class Neck(eqx.Module):
 
 
 def check_neck(neck: NeckFilm | Neck) -> None:
-    """Refuse a neck of which a size is 0.
+    """Refuse a neck of which a size is not positive.
 
     Raises:
         InputError: naming the size.
@@ -90,7 +90,7 @@ def check_neck(neck: NeckFilm | Neck) -> None:
     for name in ("radius", "length", "film_stiffness"):
         size = getattr(neck, name)
         if is_concrete(size) and not bool(jnp.all(size > 0)):
-            raise InputError(f"neck.{name} is 0: make it positive")
+            raise InputError(f"neck.{name} is {float(jnp.min(size)):g}: make it positive")
 
 
 def moment(tube: Tube, curvature: Numbers, force: Numbers) -> Numbers:

@@ -137,10 +137,25 @@ def _collapse(section: ArmSection, known: Mapping[str, Any], diameter: Any) -> I
             "correct link_pressure_kPa in [arm], or give the muscles a lower pressure_limit",
         )
     if NECK.radius.path in known:
-        held = float(np.min(pressure)) * np.pi * float(known[NECK.radius.path]) ** 2
-        sentence = crushed(straight_compression(known), held)
+        joint, gas = _least_gas(section, np.ravel(pressure))
+        held = gas * np.pi * float(known[NECK.radius.path]) ** 2
+        sentence = crushed(straight_compression(known), held, joint=joint)
         if sentence is not None:
             yield wrong_constant(sentence, "correct link_pressure_kPa in [arm], or neck.radius")
+
+
+def _least_gas(section: ArmSection, pressure: Any) -> tuple[int, float]:
+    """The joint with muscles, of links of these pressures (Pa), in whose neck it is lowest."""
+    axes = section.joint_axes
+    numbers = np.arange(1, pressure.size + 1)
+    if isinstance(section.muscles, list):
+        numbers = numbers if pressure.size == 1 else np.asarray(section.muscles)
+    elif section.muscles == "pitch" and axes in (None, "pitch_yaw"):
+        numbers = numbers[::2]
+    # A neck is between two links.
+    between = np.minimum(pressure, np.concatenate([pressure[:1], pressure[:-1]]))
+    least = int(numbers[np.argmin(between[numbers - 1])])
+    return least, float(between[least - 1])
 
 
 def force(look: Look) -> Iterator[Oddity]:

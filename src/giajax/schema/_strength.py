@@ -70,11 +70,16 @@ def straight_compression(known: Mapping[str, Any]) -> float:
     return float(2 * _value(known, LOAD.torque) / _value(known, GEOMETRY.anchor_y))
 
 
-def crushed(compression: float, held: float) -> str | None:
-    """That the gas in a neck does not hold the compression of the straight joint, both in N."""
+def crushed(compression: float, held: float, *, joint: int | None = None) -> str | None:
+    """That the gas in a neck does not hold the compression of the straight joint, both in N.
+
+    Of a numbered joint of an arm, the compression is the least that muscles have.
+    """
     if compression < held:
         return None
+    which = "the straight joint" if joint is None else f"joint {joint}, straight,"
+    least = "" if joint is None else "at least "
     return (
-        f"the muscles press the straight joint together by {compression:.3g} N, and the gas in its "
+        f"the muscles press {which} together by {least}{compression:.3g} N, and the gas in its "
         f"neck holds {held:.3g} N"
     )

@@ -68,8 +68,8 @@ class Handling(NamedTuple):
         settles: 1 where it ends when pressures are alike to 1 %, else 0.
         opens: 1 where the first bag is open to the room, by a port as the others, else 0.
         rolls: speed at which the arm is rolled up from its tip, m/s.
-        force: p pi r^2 that every link shall reach, N; what is negative is reached by all.
-        pressure: that no link shall exceed any more, Pa; what is negative is never reached.
+        force: p pi r^2 that every link has at the end, N; negative: any.
+        pressure: that no link exceeds at the end, Pa; negative: it is not what ends it.
         duration: at most, s.
     """
 
@@ -266,7 +266,8 @@ def as_one_bag(unrolling: Unrolling) -> Unrolling:
 
 
 def gas_at(filling: Filling, share: Array) -> GasState:
-    """Bags with this share of the gas that fills them, of which nothing was exchanged yet."""
+    """Bags with this share of the gas that fills them, from the supply; no work was done yet."""
     zero = jnp.zeros((), share.dtype)
     skin = bag_energy(filling.gas, filling.skin, filling.stretch, share).skin
-    return GasState(share, skin, zero, zero, GasWorks(zero, zero, zero, zero))
+    fed = jnp.sum(share * filling.full_mass)
+    return GasState(share, skin, fed, zero, GasWorks(zero, zero, zero, zero))

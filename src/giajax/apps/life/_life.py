@@ -206,14 +206,14 @@ def live(
     share = filled.gas[0] / np.asarray(filling.gas.density * arm.links.volume)
     _, first = np.unique(filling.bag_of_link, return_index=True)
     begin = gas_at(filling, jnp.asarray(share[first]))
-    courses = {"fill": _gas(made, begin, feeds=1)}
-    courses["feed"] = _gas(made, courses["fill"].end, feeds=1, force=pull)
+    courses = {"fill": _gas("fill", made, begin, feeds=1)}
+    courses["feed"] = _gas("feed", made, courses["fill"].end, feeds=1, force=pull)
     if not bool(courses["feed"].reached):
         raise InputError(
             f"the supply never brings all links to the {pull:.1f} N that one muscle pulls with: "
             "give a stronger supply"
         )
-    courses["raise"] = _gas(made, courses["feed"].end, settles=1, duration=RAISING)
+    courses["raise"] = _gas("raise", made, courses["feed"].end, settles=1, duration=RAISING)
     settled = courses["raise"]
     row = np.asarray(settled.pressure)[-1:], np.asarray(settled.fullness)[-1:]
     held = dataclasses.replace(filled, pressure=row[0], fullness=row[1])
@@ -231,7 +231,7 @@ def live(
         raise InputError("the repeat of the mission could not be followed: try another seed")
     say("deflating")
     pressure = float(jnp.max(settled.pressure[-1]))
-    vented = _gas(made, settled.end, opens=1, pressure=_LET_OUT * pressure)
+    vented = _gas("vent", made, settled.end, opens=1, pressure=_LET_OUT * pressure)
     courses["vent"] = vented
     one = as_one_bag(made)
     volumes = filling.volume / jnp.sum(filling.volume)
@@ -239,20 +239,19 @@ def live(
     # It is pressed out as fast as it was fed.
     area = np.pi / 4 * float(jnp.max(arm.links.diameter)) ** 2
     speed = float(filled.flow[0]) / area
-    courses["roll up"] = _gas(one, rest, opens=1, rolls=speed, duration=float(made.length) / speed)
-    if not all(bool(each.succeeded) for each in courses.values()):
-        late = next(name for name, each in courses.items() if not bool(each.succeeded))
-        raise InputError(
-            f"the gas cannot be followed in the phase '{late}': give narrower holes, or a larger "
-            "skin_slack"
-        )
+    duration = float(made.length) / speed
+    courses["roll up"] = _gas("roll up", one, rest, opens=1, rolls=speed, duration=duration)
     phases = _phases(flown, unrolled, outcome, courses, found, pull)
     apart = float(np.max(np.abs(np.asarray(found.angles) - outcome.angles)))
     return Life(flown, unrolled, outcome, phases, courses, found, pull, apart)
 
 
-def _gas(unrolling: Unrolling, begin: GasState, **what: float) -> GasCourse:
-    """A course of the gas; what is not said is not done."""
+def _gas(phase: str, unrolling: Unrolling, begin: GasState, **what: float) -> GasCourse:
+    """The gas in a phase; what is not said is not done.
+
+    Raises:
+        InputError: its steps do not come to an end.
+    """
     usual = dict.fromkeys(Handling._fields, 0.0) | {
         "force": -1.0,
         "pressure": -1.0,
@@ -260,7 +259,14 @@ def _gas(unrolling: Unrolling, begin: GasState, **what: float) -> GasCourse:
     }
     real = jnp.result_type(float)
     handling = Handling(**{k: jnp.asarray(v, real) for k, v in (usual | what).items()})
-    found: GasCourse = gas_course(unrolling, handling, begin, jnp.asarray(_TOLERANCE, real), _TIMES)
+    # As in `fill`, 32 bits resolve less.
+    tolerance = jnp.asarray(max(_TOLERANCE, 1e-4 if real == jnp.float32 else 0.0), real)
+    found: GasCourse = gas_course(unrolling, handling, begin, tolerance, _TIMES)
+    if not bool(found.succeeded):
+        raise InputError(
+            f"the gas cannot be followed in the phase '{phase}': give narrower holes, or a larger "
+            "skin_slack"
+        )
     return found
 
 

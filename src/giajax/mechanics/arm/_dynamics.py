@@ -248,11 +248,10 @@ def muscle_power(
 ) -> Scalar:
     """Power that the pressures in the muscles (Pa) deliver to the joints, W; 0 without muscles.
 
-    Of joints with necks it is what muscles and necks deliver together: what a neck stores depends
-    on the muscles that press it.
-
     Muscles are without friction, so that it is the pressure times the rate of the volume where
-    the law is virtual work of the gas (the ideal braid).
+    the law is virtual work of the gas (the ideal braid). Of joints with necks it is what muscles
+    and necks deliver together, and no such work: what a neck stores depends on the muscles that
+    press it, which do not shorten with it.
     """
     still = jnp.zeros_like(angles)
     return -_lost(arm.further_laws, True, angles, rates, still, None, pressures)
