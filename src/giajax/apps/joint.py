@@ -295,7 +295,7 @@ def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg
         left.plot(target[rows], angle[rows], ".", color=colour, markersize=4, label=name)
     plain(left, f"equilibria of its two pressures ({DEGREE})")
     # Of the angles beyond, the pressures crush the neck.
-    most = float(np.max(np.abs(target)))
+    most = float(np.max(np.abs(target), initial=0.0))
     beyond = f", beyond {most:g}{DEGREE} a crushed neck" if most < end - 1 else ""
     angle_axis(left, f"target angle{beyond}")
     left.set_ylim(-end, end)
