@@ -22,7 +22,8 @@ def test_an_unrolling_of_another_arm_is_refused():
         live(mission, other)
 
 
-@pytest.mark.slow
+# The command's own test asks for the balances, too.
+@pytest.mark.long
 def test_the_life_of_the_mock_up():
     said = []
     mission = Mission.from_definition(Definition.load(NARAHA))
