@@ -22,12 +22,10 @@ from ..mechanics.inflation import (
     STRENGTHS,
     BagState,
     Filling,
-    Hole,
     PerBag,
     bag_state,
     bending_stiffness,
     inflow,
-    mass_flow,
 )
 from ..mechanics.joint import BraidedMuscle
 from ..models import arm_to_definition, preset_of
@@ -72,13 +70,10 @@ class _Course(NamedTuple):
 
 def rates(time: Any, state: State, filling: Filling) -> State:
     """Rates of change, 1/s: what comes through one port of a bag less what leaves by the other."""
-    gas, full = filling.gas, filling.full_mass
-    pressure = _bags_at(filling, state.share).pressure
-    absolute = gas.ambient_pressure + pressure
-    hole = Hole(*jax.tree.leaves(filling.ports))
-    between = mass_flow(gas, hole, absolute[:-1], absolute[1:])
+    full = filling.full_mass
     total = jnp.sum(full)
-    fed = inflow(gas, filling.supply, pressure[0], state.supplied * total)
+    pressure = _bags_at(filling, state.share).pressure
+    fed, between = filling.flows(pressure, state.supplied * total)
     into = jnp.concatenate([fed[None], between])
     out = jnp.concatenate([between, jnp.zeros_like(fed)[None]])
     return State((into - out) / full, fed / total)

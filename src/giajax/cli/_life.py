@@ -122,8 +122,6 @@ def _show(life: "Life") -> None:
     """A row for each phase, and what is so of the whole."""
     rows = []
     for each in life.phases:
-        hits = [touched.obstacle for touched in each.touched if touched.links]
-        came = sum(max(work, 0.0) for work in each.energy.works.values())
         rows.append(
             (
                 each.name,
@@ -133,8 +131,8 @@ def _show(life: "Life") -> None:
                 f"{1e3 * each.lift:.1f}",
                 f"{each.margin:.1f}",
                 str(each.weakest),
-                ", ".join(hits) or None,
-                f"{came:.3f}",
+                ", ".join(each.obstacles) or None,
+                f"{each.energy.gained:.3f}",
                 f"{each.energy.lost:.3f}",
                 f"{each.energy.stored:.3f}",
             )

@@ -312,6 +312,18 @@ class Filling(eqx.Module):
         groups = {"shared": [list(links) for links in self.shared]} if self.shared else {}
         return {"supply": self.supply.kind, **groups, **stated}
 
+    def flows(self, pressure: PerBag, supplied: Scalar) -> tuple[Scalar, Float[Array, " port"]]:
+        """Gas from the supply and through each port towards the tip, kg/s.
+
+        Arguments:
+            pressure: in the bags, Pa.
+            supplied: by the supply so far, kg.
+        """
+        absolute = self.gas.ambient_pressure + pressure
+        hole = Hole(*jax.tree.leaves(self.ports))
+        between = mass_flow(self.gas, hole, absolute[:-1], absolute[1:])
+        return inflow(self.gas, self.supply, pressure[0], supplied), between
+
     @property
     def bag_of_link(self) -> npt.NDArray[np.int64]:
         """The bag of each link, counted from 0."""

@@ -146,12 +146,13 @@ def _collapse(section: ArmSection, known: Mapping[str, Any], diameter: Any) -> I
 
 def _least_gas(section: ArmSection, pressure: Any) -> tuple[int, float]:
     """The joint with muscles, of links of these pressures (Pa), in whose neck it is lowest."""
-    axes = section.joint_axes
     numbers = np.arange(1, pressure.size + 1)
     if isinstance(section.muscles, list):
-        numbers = numbers if pressure.size == 1 else np.asarray(section.muscles)
-    elif section.muscles == "pitch" and axes in (None, "pitch_yaw"):
+        numbers = np.asarray(section.muscles)
+    elif section.muscles == "pitch" and section.joint_axes in (None, "pitch_yaw"):
         numbers = numbers[::2]
+    if pressure.size == 1:
+        return int(numbers[0]), float(pressure[0])
     # A neck is between two links.
     between = np.minimum(pressure, np.concatenate([pressure[:1], pressure[:-1]]))
     least = int(numbers[np.argmin(between[numbers - 1])])

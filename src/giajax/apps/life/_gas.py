@@ -16,7 +16,6 @@ from ...mechanics.inflation import (
     PerBag,
     bag_energy,
     bag_state,
-    inflow,
     mass_flow,
 )
 from ...mechanics.unrolling import Unrolling, open_volume
@@ -126,24 +125,23 @@ def gas_rates(time: Any, state: GasState, args: tuple[Unrolling, Handling]) -> G
     """Rates of change of the gas, and the power of what is done with it."""
     unrolling, handling = args
     filling = unrolling.filling
-    gas, full, ports = filling.gas, filling.full_mass, filling.ports
+    gas, ports = filling.gas, filling.ports
     part, closing = jax.jvp(
         lambda t: _open_part(unrolling, handling.rolls, t), (time,), (jnp.ones_like(time),)
     )
     bags = _bags(filling, state.share, part)
     room = gas.ambient_pressure
-    absolute = room + bags.pressure
-    between = mass_flow(gas, Hole(*jax.tree.leaves(ports)), absolute[:-1], absolute[1:])
-    fed = handling.feeds * inflow(gas, filling.supply, bags.pressure[0], state.fed)
+    supplied, between = filling.flows(bags.pressure, state.fed)
+    fed = handling.feeds * supplied
     first = Hole(
         jnp.ravel(ports.diameter)[0], jnp.ravel(ports.length)[0], ports.discharge_coefficient
     )
-    let_out = handling.opens * mass_flow(gas, first, absolute[0], room)
+    let_out = handling.opens * mass_flow(gas, first, room + bags.pressure[0], room)
     into = jnp.concatenate([(fed - let_out)[None], between])
     out = jnp.concatenate([between, jnp.zeros_like(fed)[None]])
     # What a kilogram of gas could do on its way to the pressure of the room.
     worth = gas.specific_energy * jnp.log1p(bags.pressure / room)
-    changing = (into - out) / full
+    changing = (into - out) / filling.full_mass
     stretching = jax.jvp(
         lambda inside: _bags(filling, inside, jnp.ones_like(part)).fullness,
         (state.share / part,),

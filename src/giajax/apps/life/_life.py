@@ -51,6 +51,11 @@ class Balance:
         return sum(abs(each) for each in self.works.values())
 
     @property
+    def gained(self) -> float:
+        """Sum of what came in."""
+        return sum(max(each, 0.0) for each in self.works.values())
+
+    @property
     def lost(self) -> float:
         """Sum of what went out."""
         return -sum(min(each, 0.0) for each in self.works.values())
@@ -92,6 +97,11 @@ class Phase:
     weakest: int
     energy: Balance
     touched: tuple[Touched, ...] = ()
+
+    @property
+    def obstacles(self) -> list[str]:
+        """Names of the obstacles that links touched."""
+        return [each.obstacle for each in self.touched if each.links]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,7 +16,7 @@ from ...runtime.records import plain_data
 from ...simulation import at_rest
 from ..mission import motion
 from ..viewer import Show
-from ._life import Balance, Life, Phase
+from ._life import Balance, Life
 
 LIFE_FILES = ("life.json", "life.csv", "life.png")
 
@@ -49,18 +49,13 @@ def _columns(life: Life) -> dict[str, Any]:
         "weakest_link": "weakest",
     }
     columns |= {key: [getattr(each, name) for each in phases] for key, name in facts.items()}
-    columns["touched"] = [" ".join(_touched(each)) for each in phases]
+    columns["touched"] = [" ".join(each.obstacles) for each in phases]
     columns["stored_J"] = [each.energy.stored for each in phases]
     for name in names:
         key = f"{name.replace(' ', '_')}_work_J"
         columns[key] = [each.energy.works.get(name, 0.0) for each in phases]
     columns["imbalance_J"] = [each.energy.imbalance for each in phases]
     return columns
-
-
-def _touched(phase: Phase) -> list[str]:
-    """Names of obstacles that links touched."""
-    return [each.obstacle for each in phase.touched if each.links]
 
 
 def _balance(balance: Balance) -> dict[str, Any]:
@@ -90,7 +85,7 @@ def life_json(life: Life) -> str:
             "weakest_link": each.weakest,
             "pressure_Pa": each.pressure,
             "fullness": each.fullness,
-            "touched": _touched(each),
+            "touched": each.obstacles,
             "energy": _balance(each.energy),
         }
         for each in life.phases
@@ -120,7 +115,6 @@ def _gas_rows(life: Life) -> dict[str, _Numbers]:
     """Time, s, and gas, kg, least and largest pressure, Pa, and lift, kg, over the life."""
     filling = life.unrolled.unrolling.filling
     full = np.asarray(filling.full_mass)
-    first = life.phases[0]
     parts: list[tuple[_Numbers, ...]] = []
     times = life.unrolled.times
     one = np.ones_like(times)
@@ -138,7 +132,6 @@ def _gas_rows(life: Life) -> dict[str, _Numbers]:
         times = phase.begin + np.asarray(course.times)
         rows = (gas, pressure.min(axis=1), pressure.max(axis=1), np.asarray(course.lift))
         parts.append((times, *rows))
-    assert first.begin == 0
     names = ("time", "gas", "least", "most", "lift")
     return dict(zip(names, map(np.concatenate, zip(*parts, strict=True)), strict=True))
 
@@ -184,9 +177,8 @@ def _mark(axes: Axes, life: Life) -> None:
 def _energies(axes: Axes, life: Life) -> None:
     """What came in, was lost and was stored in each phase."""
     places = np.arange(len(life.phases))
-    came = [sum(max(x, 0.0) for x in each.energy.works.values()) for each in life.phases]
     rows = {
-        "came in": (came, BLUE),
+        "came in": ([each.energy.gained for each in life.phases], BLUE),
         "lost or given": ([each.energy.lost for each in life.phases], VERMILLION),
         "stored": ([abs(each.energy.stored) for each in life.phases], GREEN),
     }
