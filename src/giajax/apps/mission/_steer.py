@@ -38,7 +38,7 @@ _AT_REST = np.deg2rad([0.3, 0.05])
 _STIFFNESS = {"joints.pitch_stiffness": 0.2, "joints.yaw_stiffness": 0.2}
 _MEAN, _INTENSITY, _LENGTH_SCALE, _DECAY = 0.3, 2.0, 2.0, 12.0
 # Of an arm that remembers and leans on things, of which the tracker knows little.
-_TORQUES = 10.0
+_TORQUES = 20.0
 _PLACES = 3  # along the arm, between which gusts are linear
 
 

@@ -41,7 +41,7 @@ from ._rounds import (
     watching,
 )
 
-STIFFNESS_SHARE = 6e-5
+STIFFNESS_SHARE = 3e-5
 """Default of the unmodelled torque: this share of the mean stiffness, as white noise, root(s)."""
 
 _LONGEST = 0.1  # between two events, s
