@@ -88,8 +88,9 @@ class Stepper(eqx.Module):
 
     def __check_init__(self) -> None:
         """Refuse (`InputError`) what is not positive, an unknown solver, and a lag of drives."""
+        # As numbers: within a trace a comparison of arrays is none that is known.
         if is_concrete(self.interval) and not (
-            self.interval.ndim == 0 and 0 < self.interval < np.inf
+            self.interval.ndim == 0 and 0 < float(self.interval) < np.inf
         ):
             raise InputError(f"the interval is {self.interval} s: give one positive number")
         if self.steps < 1:
@@ -100,7 +101,8 @@ class Stepper(eqx.Module):
                     f"the arm has joints.{name}, which a motion that is decided on the way does "
                     "not follow: leave it out, or call simulate"
                 )
-        if is_concrete(self.tolerance) and self.tolerance is not None and not self.tolerance > 0:
+        tolerance = self.tolerance
+        if tolerance is not None and is_concrete(tolerance) and not float(tolerance) > 0:
             raise InputError(f"the tolerance is {self.tolerance}: give a positive number, or none")
         if self.tolerance is None:
             solver_named(self.solver)

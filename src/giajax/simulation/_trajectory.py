@@ -1,5 +1,6 @@
 """The result of a simulation."""
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -202,6 +203,20 @@ def _moved(motion: Trajectory, what: str) -> Array:
     return jax.vmap(at)(motion.times, motion.angles, motion.rates, motion.followed, *states)
 
 
+def _touched_like(arm: Arm, angles: Array, *_: Array | None) -> tuple[Array, Array]:
+    assert arm.contact is not None
+    shape = (*angles.shape, len(arm.contact.obstacles))
+    flattening: Any = jax.ShapeDtypeStruct(shape, angles.dtype)
+    force: Any = jax.ShapeDtypeStruct((*shape, 3), angles.dtype)
+    return flattening, force
+
+
+@functools.partial(program, like=_touched_like)
+def _touched(arm: Arm, angles: Array, rates: Array, skin: Array | None) -> tuple[Array, Array]:
+    """Flattening and forces of every sample."""
+    return jax.vmap(functools.partial(touched, arm))(angles, rates, skin)
+
+
 class Contacts(NamedTuple):
     """What the links touched, at the samples of a simulation.
 
@@ -240,7 +255,7 @@ def contacts(trajectory: Trajectory) -> Contacts:
     if contact is None:
         raise InputError("the arm has no obstacles: give it some, as [[arm.obstacles]]")
     rows = (trajectory.angles, trajectory.rates, trajectory.skin)
-    flattening, force = _over_samples(touched, trajectory.arm, *rows)
+    flattening, force = _touched(trajectory.arm, *rows)
     steps = jnp.diff(trajectory.times)
     impulse = jnp.tensordot(steps, (force[1:] + force[:-1]) / 2, axes=1)
     names = tuple(obstacle.name for obstacle in contact.obstacles)

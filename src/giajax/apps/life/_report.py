@@ -4,7 +4,6 @@ import dataclasses
 import json
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -13,7 +12,6 @@ from matplotlib.figure import Figure
 from ...models import Line, Scene, arm_scene
 from ...report import BLUE, GREEN, GREY, INK, LIGHT, VERMILLION, new_figure, plain, to_csv, to_png
 from ...runtime.records import plain_data
-from ...simulation import at_rest
 from ..mission import motion
 from ..viewer import Show
 from ._life import Balance, Life
@@ -221,7 +219,9 @@ def life_show(life: Life) -> Show:
     ends = np.cumsum(lengths)
     across = np.cross([0.0, 0.0, 1.0], lying)
     half = np.asarray(arm.links.diameter)[:, None] / 2 * across
-    straight = _straight(life)
+    # The mission begins with the straight arm.
+    first = flown.lines[0].points[0]
+    straight = (first[1] - first[0]) / np.linalg.norm(first[1] - first[0])
 
     def laid(paid_out: float) -> _Numbers:
         """Both ends of each link, shape (link, 2, 3)."""
@@ -277,14 +277,6 @@ def life_show(life: Life) -> Show:
 
 def _some(rows: int) -> npt.NDArray[np.int64]:
     return np.unique(np.linspace(0, rows - 1, 2 * _FRAMES).astype(int))
-
-
-def _straight(life: Life) -> _Numbers:
-    """Direction of the straight arm as the mission begins."""
-    scene = arm_scene(at_rest(life.mission.model.arm, jnp.zeros(life.mission.model.arm.count)))
-    first = scene.lines[0].points[0]
-    along: _Numbers = (first[1] - first[0]) / np.linalg.norm(first[1] - first[0])
-    return along
 
 
 def _turned(lying: _Numbers, straight: _Numbers, lengths: _Numbers) -> Any:

@@ -511,7 +511,7 @@ class Mission:
         known = (self if drawn is None else drawn).model.arm
         rows = flight(
             arm,
-            Scene(known, self.camera, self.opening, jnp.asarray(_INTERVAL)),
+            Scene(known, self.camera, self.opening, jnp.asarray(_INTERVAL, jnp.result_type(float))),
             self.controller,
             Task(*jnp.asarray(numbers, jnp.result_type(float))),
             jnp.asarray(wind),
