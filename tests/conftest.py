@@ -5,6 +5,7 @@ of `make test`, and those marked `long` of `make test-all`, too; both say so at 
 """
 
 import contextlib
+import functools
 import gc
 import io
 import os
@@ -34,6 +35,9 @@ if version("jaxlib").startswith("0.10."):
 import jax
 import pytest
 
+import giajax.runtime.programs
+from giajax.runtime.programs import NoStructureError, program, structure
+
 ROOT = Path(__file__).resolve().parents[1]
 
 jax.config.update("jax_enable_x64", True)
@@ -45,6 +49,34 @@ CACHE = os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".jax_cach
 LEAST = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 jax.config.update("jax_compilation_cache_dir", CACHE)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", float(LEAST))
+
+# A process of the command keeps no program whose `like` promises another result, be it in a weak
+# type only: it traces it, twice. So each program of the tests is compared with what it promises.
+
+
+def promised(function, *, like=None):
+    """As `giajax.runtime.programs.program`; refuses a result other than promised."""
+    call = program(function, like=like)
+    if like is None:
+        return call
+    seen = set()
+
+    @functools.wraps(call)
+    def compared(*args, **kwargs):
+        result = call(*args, **kwargs)
+        leaves = jax.tree.leaves((args, kwargs, result))
+        if not kwargs and not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            with contextlib.suppress(NoStructureError):
+                key = structure(args)
+                if key not in seen:
+                    seen.add(key)
+                    assert structure(like(*args)) == structure(result), f"like of {call}"
+        return result
+
+    return compared
+
+
+giajax.runtime.programs.program = promised
 
 # Every compiled program maps memory, and a process may have 65,530 maps: beyond them the compiler
 # dies, after a thousand tests.
