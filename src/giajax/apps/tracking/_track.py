@@ -698,20 +698,31 @@ def track(
         )
     noise = noise_of(run, names, result)
     say("start ...")
-    tracked, plan, begun, settings = begun_at(stated, run, noise, unknown, gate)
-    say(f"filter over {len(plan.times)} times ...")
-    course = watched_through(tracked, begun, plan, settings)
-    found = course.rows
-    if not np.any(found.used):
+    # Where nobody says how much torque is unmodelled, a model that lacks more may have more of it:
+    # what is followed can be judged.
+    factors = (1, 2, 4) if unknown.torque is None else (1,)
+    for factor in factors:
+        if factor > 1:
+            torque = factor * usual_torque(stated)
+            say(f"the state becomes infinite; again with an unmodelled torque of {torque:.2g} ...")
+            unknown = dataclasses.replace(unknown, torque=torque)
+        tracked, plan, begun, settings = begun_at(stated, run, noise, unknown, gate)
+        say(f"filter over {len(plan.times)} times ...")
+        course = watched_through(tracked, begun, plan, settings)
+        found = course.rows
+        if not np.any(found.used):
+            raise InputError(
+                f"no measurement of '{run.name}' counts, as each is more than {gate:g} deviations "
+                "off: compare the model with the run first (giajax fit), or allow more (--gate)"
+            )
+        states = as_states(tracked, found.state)
+        if np.all(np.isfinite(states.mean)):
+            break
+    else:
         raise InputError(
-            f"no measurement of '{run.name}' counts, as each is more than {gate:g} deviations off: "
-            "compare the model with the run first (giajax fit), or allow more (--gate)"
-        )
-    states = as_states(tracked, found.state)
-    if not np.all(np.isfinite(states.mean)):
-        raise InputError(
-            f"the arm cannot be followed through '{run.name}': its state becomes infinite; compare "
-            "the model with the run first (giajax fit)"
+            f"the arm cannot be followed through '{run.name}': its state becomes infinite; track a "
+            "wind (--wind, --gusts) if there may be some, allow more unmodelled torque (--torque), "
+            "or compare the model with the run first (giajax fit)"
         )
     say("smoother ...")
     every = settings._replace(estimated=jnp.ones_like(settings.estimated))
@@ -986,27 +997,30 @@ def linearised_again(
 ) -> tuple[Gaussian, Filtered]:
     """Smoothed and filtered states, linearised about the smoothed ones until parameters stay.
 
-    A round in which the measurements become clearly less likely does not count, and is the last.
+    A first round may go too far, and make the measurements less likely; the one after it then comes
+    back. What counts is the last round in which they are about as likely as in any before.
     """
     smooth = smoothed_through(rows)
     if settings.watch is None:
         return smooth, rows
+    kept, most = (smooth, rows), log_likelihood_of(rows)
     directions = settings.watch.directions
     for _ in range(_ROUNDS):
         mean = smooth.mean
         # Before the first interval there is no smoothed state.
         about = (jnp.concatenate([jnp.full_like(mean[:1], jnp.nan), mean[:-1]]), mean)
         _, again = followed_through(system, start, events, settings, about)
-        if not log_likelihood_of(again) > log_likelihood_of(rows) - _WORSE:
-            break
         better = smoothed_through(again)
         if not np.all(np.isfinite(better.mean)):
             break
+        likelihood = log_likelihood_of(again)
+        if likelihood > most - _WORSE:
+            kept, most = (better, again), max(most, likelihood)
         far = jnp.abs((better.mean - smooth.mean) @ directions.T)
-        smooth, rows = better, again
+        smooth = better
         if jnp.all(far < _STAYS * jnp.linalg.norm(directions @ better.root, axis=-1)):
             break
-    return smooth, rows
+    return kept
 
 
 def log_likelihood_of(rows: Filtered) -> float:
