@@ -25,6 +25,7 @@ GUSTY = 4  # of the arms
 # What is to be reached.
 WITHIN, OFTEN, FALSE = 30.0, 0.9, 1.0  # s, share of arms, false alarms in 20 h
 OFF, WIDER = 2.0, 1.2  # errors of the drag, and their size over that of a fit
+ALIKE = 0.1  # of its errors from a fit, of a tracker that is as sure of all else
 
 
 def run(size: int, seed: int, links: int = LINKS, hours: float = HOURS) -> Figures:
@@ -181,6 +182,9 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     wide = max(arm["drag_error_over_fit"] for arm in new["arms"])
     if wide > 2 * WIDER:
         sentences.append(f"the error of a drag is {wide:.1f} of that of a fit")
+    off = max(abs(arm["alike_from_fit_in_errors"]) for arm in new["arms"])
+    if off > ALIKE:
+        sentences.append(f"a drag is {off:.2f} of its errors from that of a fit that is as sure")
     far = max(abs(arm["drag_off_in_errors"]) for arm in new["arms"])
     if far > 2 * OFF:
         sentences.append(f"a drag is {far:.1f} of its errors off")

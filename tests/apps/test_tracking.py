@@ -28,6 +28,7 @@ from giajax.apps.tracking import (
     track,
     tracked_arm,
     unseen,
+    usual_torque,
 )
 from giajax.apps.viewer import shown
 from giajax.apps.wind import first_guess
@@ -474,6 +475,23 @@ def test_an_estimate_without_process_noise_is_that_of_a_fit(still_arm):
     assert error == pytest.approx(fitted.standard_error, rel=0.05)
     off = abs(found.filtered.parameters[drag][-1] - fitted.value)
     assert 0.2 * fitted.standard_error < off < 4 * error
+
+
+def test_a_run_that_cannot_be_followed_is_tried_with_more_unmodelled_torque(still_arm, monkeypatch):
+    model = giajax.ArmModel(still_arm)
+    usual = usual_torque(model)
+    given = iter([np.nan, usual, usual])
+    monkeypatch.setattr("giajax.apps.tracking._track.usual_torque", lambda model: next(given))
+    said = []
+    found = track(model, leaking(still_arm, at=2.0, left=1.0, lasts=5.0), progress=said.append)
+    assert found.unknown.torque == 2 * usual
+    assert np.all(np.isfinite(found.smoothed.mean))
+    assert any("the state becomes infinite; again with" in line for line in said)
+    # Where somebody says how much torque is unmodelled, it is that.
+    with pytest.raises(InputError, match="its state becomes infinite; track a wind"):
+        track(
+            model, leaking(still_arm, at=2.0, left=1.0, lasts=5.0), unknown=Unknown(torque=np.nan)
+        )
 
 
 @pytest.mark.slow
