@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..runtime.arrays import Array, Float, Scalar, larger, limited
+from ..runtime.programs import program
 from ..runtime.text import InputError
 from ..schema import GAS, PORTS, SKIN, SUPPLY, FillingSection
 from ..schema.parameters import declared, inline, parameter, replace
@@ -229,6 +230,10 @@ def inflow(gas: Gas, supply: Supply, pressure: Scalar, supplied: Scalar) -> Scal
 Floats = npt.NDArray[np.float64]
 
 
+# Compiled, or each of some forty operations would be dispatched by itself.
+_stiff_shares = program(stiff_share, like=lambda load: load)
+
+
 def bending_stiffness(arm: Arm, skin: Skin, pressure: npt.ArrayLike | None = None) -> Floats:
     """Bending stiffness of each link that bears its own weight from one end, N m^2 (`stiff_share`).
 
@@ -241,7 +246,7 @@ def bending_stiffness(arm: Arm, skin: Skin, pressure: npt.ArrayLike | None = Non
     own = mass * STANDARD_GRAVITY * np.asarray(links.length) / 2
     with np.errstate(divide="ignore"):
         load = own / fold
-    share: Floats = np.asarray(stiff_share(jnp.asarray(load)))
+    share: Floats = np.asarray(_stiff_shares(jnp.asarray(load)))
     return float(skin.stiffness) * np.pi * radius**3 * share
 
 

@@ -263,6 +263,13 @@ def as_one_bag(unrolling: Unrolling) -> Unrolling:
     )
 
 
+def _gas_like(filling: Filling, share: Array) -> GasState:
+    del filling
+    zero = jnp.zeros((), share.dtype)
+    return GasState(share, share, zero, zero, GasWorks(zero, zero, zero, zero))
+
+
+@functools.partial(program, like=_gas_like)
 def gas_at(filling: Filling, share: Array) -> GasState:
     """Bags with this share of the gas that fills them, from the supply; no work was done yet."""
     zero = jnp.zeros((), share.dtype)

@@ -270,6 +270,9 @@ class Outcome:
         return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
 
 
+_tip = program(tip_position, like=lambda arm, angles: jnp.zeros(3, angles.dtype))
+
+
 def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row width"]) -> Outcome:
     """What rows of a mission, and the air in it, come to."""
     table: Rows = jax.tree.map(np.asarray, rows)
@@ -277,7 +280,7 @@ def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row widt
     end = int(np.argmax(held)) + 1 if held.any() else len(held)
     table = jax.tree.map(lambda each: each[:end], table)
     arm = mission.model.arm
-    begun = np.asarray(tip_position(arm, jnp.zeros(arm.count)))
+    begun = np.asarray(_tip(arm, jnp.zeros(arm.count)))
     reached = float(mission.times[end] - table.inside[-1]) if held.any() else None
     sound = np.all(np.isfinite(table.state), axis=(1, 2))
     local = np.asarray(mission.opening.local(jnp.asarray(table.tip)))
