@@ -60,7 +60,7 @@ class GasState(NamedTuple):
 
 
 class Handling(NamedTuple):
-    """What is done with the gas.
+    """What is done with the gas: as numbers, so that all phases of an arm share one program.
 
     Attributes:
         feeds: 1 where the supply is open, else 0.

@@ -184,7 +184,8 @@ def live(
 
     Arguments:
         mission: whose arm it is; its pressures are those that it was filled to then.
-        unrolling: of that arm; as `unroll` has it by default.
+        unrolling: of that arm; by default as that of `unroll`, whatever the file of the mission
+            states (`Unrolling.from_section` reads that).
         seed: as of `Mission.fly`.
         on_phase: is told what begins.
 
