@@ -26,6 +26,8 @@ from giajax.apps.tracking import (
     judge,
     nees,
     track,
+    track_facts,
+    track_notes,
     tracked_arm,
     unseen,
     usual_torque,
@@ -485,13 +487,20 @@ def test_a_run_that_cannot_be_followed_is_tried_with_more_unmodelled_torque(stil
     said = []
     found = track(model, leaking(still_arm, at=2.0, left=1.0, lasts=5.0), progress=said.append)
     assert found.unknown.torque == 2 * usual
+    assert found.loosened == 2
+    facts = track_facts(found, judge(model, found, look=False))
+    assert facts["torque_n_m_root_s"] == 2 * usual
+    notes = track_notes(found, judge(model, found, look=False))
+    assert any("2 times as much" in note for note in notes)
     assert np.all(np.isfinite(found.smoothed.mean))
     assert any("the state becomes infinite; again with" in line for line in said)
     # Where somebody says how much torque is unmodelled, it is that.
-    with pytest.raises(InputError, match="its state becomes infinite; track a wind"):
-        track(
-            model, leaking(still_arm, at=2.0, left=1.0, lasts=5.0), unknown=Unknown(torque=np.nan)
-        )
+    run = leaking(still_arm, at=2.0, left=1.0, lasts=5.0)
+    with pytest.raises(InputError, match="its state becomes infinite; allow more"):
+        track(model, run, unknown=Unknown(torque=np.nan))
+    given = iter([np.nan] * 5)
+    with pytest.raises(InputError, match="its state becomes infinite; allow more"):
+        track(model, run)
 
 
 @pytest.mark.slow

@@ -279,15 +279,6 @@ def test_what_is_older_than_the_history_is_lost():
         follower.ahead(2.9)
 
 
-def test_a_state_that_becomes_infinite_is_said():
-    chain = chain_of(3)
-    start = start_of(chain, np.random.default_rng(5))
-    lost = start._replace(mean=np.full_like(start.mean, np.inf))
-    follower = DelayedFilter(chain, 0.0, lost, lambda begin, end: chain.interval(end - begin))
-    with pytest.raises(InputError, match=r"cannot be followed beyond 0\.5 s"):
-        follower.measure(0.5, [0.0, 0.0])
-
-
 @eqx.filter_jit
 def last_states(chain, start, events, measured):
     """After all events, of each run."""

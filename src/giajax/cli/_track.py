@@ -203,8 +203,8 @@ def track(
         recorded = some(read_run(run, **how_read))
     source, unknown = known_of(recorded)
     say = say_progress(quiet)
-    hidden = unseen(source, recorded, unknown=unknown)
     found = tracked(source, recorded, unknown=unknown, latency=latency, gate=gate, progress=say)
+    hidden = unseen(source, recorded, unknown=found.unknown)
     verdict = judge(source, found, progress=say, look=not no_judge)
     facts = track_facts(found, verdict, hidden)
     said = None

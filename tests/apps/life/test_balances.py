@@ -88,6 +88,17 @@ def test_a_fed_arm_balances_and_holds_a_muscle():
     assert energy < 1e-6
 
 
+def test_what_is_reached_at_the_beginning_takes_no_time():
+    """By gas an arm may be full as soon as it is unrolled."""
+    unrolling, _, full, held = fed()
+    for what in ({"feeds": 1.0}, {"feeds": 1.0, "force": 50.0}):
+        again = handled(unrolling, held.end, **what)
+        assert bool(again.reached)
+        assert float(again.times[-1]) < 0.1
+        np.testing.assert_allclose(again.pressure[-1], held.pressure[-1], rtol=1e-3)
+    assert float(handled(unrolling, full.end, feeds=1.0, force=50.1).times[-1]) > 0.1
+
+
 def test_a_vented_arm_is_pressed_out_by_a_hand():
     unrolling, _, _, held = fed()
     settled = handled(unrolling, held.end, settles=1.0, duration=60.0)

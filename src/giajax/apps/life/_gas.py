@@ -196,12 +196,15 @@ def gas_course(
         return reached
 
     zero = jnp.zeros_like(begin.fed)
+    # What is reached at the beginning, as by gas that unrolled the arm, is crossed no more.
+    already = beyond(zero, begin, None) >= 0
+    until = jnp.where(already, 1e-9 * handling.duration, handling.duration)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(gas_rates),
         # As in `fill`: pressures of tight bags settle within a second.
         diffrax.Kvaerno5(),
         t0=zero,
-        t1=handling.duration,
+        t1=until,
         dt0=handling.duration * 1e-6,
         y0=begin,
         args=(unrolling, handling),
@@ -248,7 +251,7 @@ def gas_course(
         stored,
         mass,
         end,
-        diffrax.is_event(solution.result),
+        diffrax.is_event(solution.result) | already,
         diffrax.is_okay(solution.result),
     )
 

@@ -241,6 +241,7 @@ def track_facts(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> dic
         "states": found.arm.sizes(),
         "considered": dict(found.unknown.considered),
         "estimated": dict(found.unknown.estimated),
+        "torque_n_m_root_s": float(found.arm.torque),
         "latency_s": found.latency,
         "events": len(found.times),
         "seconds_per_event": found.seconds,
@@ -276,6 +277,11 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
         f"{cause.name}: log-likelihood +{cause.gain:.3g}; {cause.advice}"
         for cause in verdict.causes[1:]
     ]
+    if found.loosened > 1:
+        notes.append(
+            f"with the usual unmodelled torque the state became infinite; it was followed with "
+            f"{found.loosened} times as much: the model may lack something, such as a wind"
+        )
     notes += [change_sentence(change) for change in found.changes]
     if found.changes and not verdict.adequate:
         notes.append("what has changed is doubtful as long as the track is not adequate")

@@ -177,6 +177,8 @@ class Track:
         seconds: that the filter takes for an event, without compiling.
         changes: of estimated parameters; from when one was found the filter allows for it, from
             when it happened the smoother does.
+        loosened: how many times the usual unmodelled torque it took to follow the run, where no
+            torque was stated.
     """
 
     run: Run
@@ -200,6 +202,7 @@ class Track:
     start: Gaussian
     seconds: float
     changes: tuple[Change, ...]
+    loosened: int = 1
 
 
 def considered_of(result: FitResult) -> tuple[dict[str, float], np.ndarray]:
@@ -710,19 +713,19 @@ def track(
         say(f"filter over {len(plan.times)} times ...")
         course = watched_through(tracked, begun, plan, settings)
         found = course.rows
-        if not np.any(found.used):
-            raise InputError(
-                f"no measurement of '{run.name}' counts, as each is more than {gate:g} deviations "
-                "off: compare the model with the run first (giajax fit), or allow more (--gate)"
-            )
         states = as_states(tracked, found.state)
         if np.all(np.isfinite(states.mean)):
             break
     else:
         raise InputError(
-            f"the arm cannot be followed through '{run.name}': its state becomes infinite; track a "
-            "wind (--wind, --gusts) if there may be some, allow more unmodelled torque (--torque), "
-            "or compare the model with the run first (giajax fit)"
+            f"the arm cannot be followed through '{run.name}': its state becomes infinite; "
+            f"allow more unmodelled torque than {float(tracked.torque):.2g} (--torque), or compare "
+            "the model with the run first (giajax fit), its wind, too"
+        )
+    if not np.any(found.used):
+        raise InputError(
+            f"no measurement of '{run.name}' counts, as each is more than {gate:g} deviations off: "
+            "compare the model with the run first (giajax fit), or allow more (--gate)"
         )
     say("smoother ...")
     every = settings._replace(estimated=jnp.ones_like(settings.estimated))
@@ -765,6 +768,7 @@ def track(
         start=begun,
         seconds=course.seconds,
         changes=course.changes,
+        loosened=factor,
     )
 
 

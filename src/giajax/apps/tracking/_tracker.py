@@ -145,8 +145,8 @@ class DelayedFilter(Generic[Kept]):
             history, which is lost.
 
         Raises:
-            InputError: a number of values that is not that of the channels, a time that is no
-                number, or a state that becomes infinite.
+            InputError: a number of values that is not that of the channels, or a time that is no
+                number.
         """
         if not np.isfinite(time):
             raise InputError(f"measurements are given for {time} s: give their time as a number")
@@ -169,11 +169,6 @@ class DelayedFilter(Generic[Kept]):
         self._go_on(time, values)
         found = self._last
         self._repeat(later)
-        if not np.all(np.isfinite(self._clones[-1].followed.state.mean)):
-            raise InputError(
-                f"what is tracked cannot be followed beyond {time:.6g} s: its state becomes "
-                "infinite; track a wind if there may be some, or allow more unmodelled torque"
-            )
         if self._watched is not None:
             self._look(self._watched)
         self._forget()
