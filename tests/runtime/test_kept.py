@@ -152,6 +152,11 @@ def test_a_result_other_than_promised_is_not_kept(folder):
     assert not folder.exists()
 
 
+def test_the_tests_compare_programs_with_what_they_promise():
+    with pytest.raises(AssertionError, match="like of"):
+        program(pulled, like=narrower)(SPRING, ANGLE)
+
+
 def test_what_has_no_name_is_not_kept():
     assert in_a_process(Spring(np.array(2.0), law=lambda x: x), ANGLE) is None
     with pytest.raises(NoStructureError):
