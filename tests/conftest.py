@@ -4,10 +4,10 @@ And the tiers: tests marked `quick` compile nothing (`make check`), tests marked
 of `make test`, and those marked `long` of `make test-all`, too; both say so at their end.
 """
 
-import contextlib
 import functools
 import gc
 import io
+import json
 import os
 import shutil
 from importlib.metadata import version
@@ -32,11 +32,12 @@ if version("jaxlib").startswith("0.10."):
     flags.append("--xla_backend_optimization_level=0")
     os.environ.setdefault("XLA_FLAGS", " ".join(flags))
 
+import equinox as eqx
 import jax
 import pytest
 
 import giajax.runtime.programs
-from giajax.runtime.programs import NoStructureError, program, structure
+from giajax.runtime.programs import NoStructureError, described, program, restored, structure
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -50,33 +51,42 @@ LEAST = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1
 jax.config.update("jax_compilation_cache_dir", CACHE)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", float(LEAST))
 
-# A process of the command keeps no program whose `like` promises another result, be it in a weak
-# type only: it traces it, twice. So each program of the tests is compared with what it promises.
+# A process of the command keeps no program whose result no text describes: it traces it each time,
+# and nobody sees. So the results of all programs of the tests are described.
 
 
-def promised(function, *, like=None):
-    """As `giajax.runtime.programs.program`; refuses a result other than promised."""
-    call = program(function, like=like)
-    if like is None:
-        return call
+def as_shape(leaf):
+    """Of an array that of JAX, which a program returns."""
+    return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if eqx.is_array(leaf) else leaf
+
+
+def describing(function):
+    """As `giajax.runtime.programs.program`; refuses a result that no text describes."""
+    call = program(function)
     seen = set()
 
     @functools.wraps(call)
-    def compared(*args, **kwargs):
+    def checked(*args, **kwargs):
         result = call(*args, **kwargs)
         leaves = jax.tree.leaves((args, kwargs, result))
-        if not kwargs and not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-            with contextlib.suppress(NoStructureError):
-                key = structure(args)
-                if key not in seen:
-                    seen.add(key)
-                    assert structure(like(*args)) == structure(result), f"like of {call}"
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return result
+        try:
+            key = structure((args, kwargs))
+        except NoStructureError:  # not kept, and said nowhere: a test may have such arguments
+            return result
+        if key not in seen:
+            seen.add(key)
+            shaped = jax.tree.map(as_shape, result)
+            assert structure(restored(json.loads(json.dumps(described(shaped))))) == structure(
+                shaped
+            )
         return result
 
-    return compared
+    return checked
 
 
-giajax.runtime.programs.program = promised
+giajax.runtime.programs.program = describing
 
 # Every compiled program maps memory, and a process may have 65,530 maps: beyond them the compiler
 # dies, after a thousand tests.

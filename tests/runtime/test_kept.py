@@ -1,6 +1,7 @@
 """Programs kept between processes: traced once, and never in place of another program."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,6 +16,7 @@ from giajax.runtime.programs import (
     cache_programs,
     forget_programs_if_many,
     program,
+    restored,
     structure,
 )
 
@@ -36,12 +38,22 @@ def pulled(spring, angle):
     return spring, spring.stiffness * angle**spring.power
 
 
-def as_pulled(spring, angle):
-    return spring, angle
+def other_law(angle):
+    return angle
 
 
-def narrower(spring, angle):
-    return spring, angle[:1]
+class Several(NamedTuple):
+    parts: object
+    rest: object
+
+
+def of_all_kinds(spring, angle):
+    weak = 1.0 * jax.numpy.arange(2.0).sum()
+    return Several({"b": [None, spring], "a": (weak, True)}, ("text", 1.5, float("inf"), Spring))
+
+
+def not_described(spring, angle):
+    return Path("x"), angle
 
 
 @pytest.fixture(autouse=True)
@@ -52,9 +64,9 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "programs"
 
 
-def in_a_process(spring, angle, *, like=as_pulled):
+def in_a_process(spring, angle, *, function=pulled):
     """What a process that starts now computes, and whether it kept the program."""
-    call = CachedProgram(pulled, like, {}).ready((spring, angle))
+    call = CachedProgram(function, {}).ready((spring, angle))
     return None if call is None else call(spring, angle)
 
 
@@ -77,7 +89,7 @@ def test_a_later_process_does_not_trace_it_again(folder):
         (Spring(np.array(2.0), power=2), ANGLE),
         (SPRING, ANGLE[:2]),
         (Spring(np.float32(2.0)), ANGLE.astype(np.float32)),
-        (Spring(np.array(2.0), law=narrower), ANGLE),
+        (Spring(np.array(2.0), law=other_law), ANGLE),
     ],
     ids=["a static value", "a shape", "a type", "a function"],
 )
@@ -91,13 +103,11 @@ def test_what_differs_is_another_program(spring, angle):
 
 def test_a_program_of_the_package_is_kept(folder):
     for _ in range(2):
-        _, force = program(pulled, like=as_pulled)(SPRING, ANGLE)
+        _, force = program(pulled)(SPRING, ANGLE)
         assert_array_equal(force, [2.0, 4.0, 6.0])
     assert TRACED == [1]
     # As a part of another program it is traced with that.
-    assert_array_equal(
-        jax.jit(lambda x: program(pulled, like=as_pulled)(SPRING, x)[1])(ANGLE), force
-    )
+    assert_array_equal(jax.jit(lambda x: program(pulled)(SPRING, x)[1])(ANGLE), force)
     assert TRACED == [1, 1]
 
 
@@ -108,7 +118,7 @@ def test_many_programs_are_forgotten_before_the_memory_has_no_more_maps(folder):
 
     forget_programs_if_many(0)
     before = maps()
-    ours = program(pulled, like=as_pulled)
+    ours = program(pulled)
     for size in range(1, 30):
         jax.jit(lambda x: jax.numpy.sin(x) + 1)(np.zeros(size))
         ours(SPRING, np.zeros(size))
@@ -126,7 +136,7 @@ def test_many_programs_are_forgotten_before_the_memory_has_no_more_maps(folder):
 
 def test_nothing_is_kept_where_jax_is_to_look_into_programs(folder):
     with jax.debug_nans(True):
-        program(pulled, like=as_pulled)(SPRING, ANGLE)
+        program(pulled)(SPRING, ANGLE)
     assert not folder.exists()
 
 
@@ -147,14 +157,65 @@ def test_a_damaged_file_is_traced_again_and_mended(folder, damaged):
     assert len(TRACED) == 2
 
 
-def test_a_result_other_than_promised_is_not_kept(folder):
-    assert in_a_process(SPRING, ANGLE, like=narrower) is None
+def test_results_of_all_kinds_come_back(folder):
+    for _ in range(2):
+        found = in_a_process(SPRING, ANGLE, function=of_all_kinds)
+        assert isinstance(found, Several)
+        assert set(found.parts) == {"a", "b"}
+        number, yes = found.parts["a"]
+        # Of a weak type it would be another program whatever takes it next.
+        assert yes is True
+        assert number == 1.0
+        assert not number.weak_type
+        nothing, spring = found.parts["b"]
+        assert nothing is None
+        assert structure(spring) == structure(SPRING)
+        assert found.rest == ("text", 1.5, float("inf"), Spring)
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_a_result_that_no_text_describes_is_not_kept(folder):
+    assert in_a_process(SPRING, ANGLE, function=not_described) is None
     assert not folder.exists()
 
 
-def test_the_tests_compare_programs_with_what_they_promise():
-    with pytest.raises(AssertionError, match="like of"):
-        program(pulled, like=narrower)(SPRING, ANGLE)
+def test_the_tests_see_a_result_that_no_text_describes():
+    with pytest.raises(NoStructureError):
+        program(not_described)(SPRING, ANGLE)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        {"class": ["os", "system"], "parts": ["true"]},
+        {"class": ["subprocess", "Popen"], "parts": [{"value": "true"}]},
+        {"class": ["pathlib", "Path"], "fields": {"x": {"value": 1}}},
+        {"class": ["not_imported", "Spring"], "fields": {}},
+        {"name": ["os", "no_such_name"]},
+        {"shape": [3]},
+        [],
+    ],
+)
+def test_a_text_runs_nothing(text):
+    with pytest.raises(ValueError, match=r"describes no result|nothing has imported"):
+        restored(text)
+
+
+def test_keywords_and_defaults_are_the_same_program(folder):
+    call = program(pulled)
+    call(SPRING, ANGLE)
+    _, force = call(SPRING, angle=ANGLE)
+    assert_array_equal(force, [2.0, 4.0, 6.0])
+    assert TRACED == [1]
+
+
+def test_a_function_within_another_is_not_kept(folder):
+    def inner(spring, angle):
+        return pulled(spring, angle)
+
+    assert in_a_process(SPRING, ANGLE, function=inner) is None
+    assert in_a_process(SPRING, ANGLE, function=lambda *given: pulled(*given)) is None
+    assert not folder.exists()
 
 
 def test_what_has_no_name_is_not_kept():

@@ -140,14 +140,7 @@ def resting(arm: Arm, command: Array) -> tuple[Array, Array]:
     return jax.lax.fori_loop(0, _NEWTON, better, begun)
 
 
-def _rest_like(arm: Arm, commanded: Array) -> Rest:
-    joints = arm.count
-    shapes = ((joints,), (), *[(joints, joints)] * 3, (3,), (3, joints))
-    parts: Any = [jax.ShapeDtypeStruct(shape, commanded.dtype) for shape in shapes]
-    return Rest(*parts)
-
-
-@functools.partial(program, like=_rest_like)
+@program
 def rest_at(arm: Arm, commanded: Array) -> Rest:
     command = reached(arm, commanded)
     angles, off = resting(arm, command)

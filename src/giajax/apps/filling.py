@@ -92,17 +92,7 @@ def _net_lift_of_links(filling: Filling, share: PerBag) -> Float[Array, " link"]
     return lift * arm.links.volume - filling.borne_mass
 
 
-def _course_like(
-    filling: Filling, share: PerBag, end: Scalar, tolerance: Scalar, times: int
-) -> _Course:
-    """A course as of `_course`, without filling."""
-    del share, tolerance
-    bags, links, yes = filling.volume, filling.arm.links.volume, jnp.zeros((), bool)
-    grid, shares = jnp.zeros(times, end.dtype), jnp.zeros((times, *bags.shape), end.dtype)
-    return _Course(grid, shares, grid, bags, links, end, yes, yes, jnp.zeros((), int))
-
-
-@functools.partial(program, like=_course_like)
+@program
 def _course(filling: Filling, share: PerBag, end: Scalar, tolerance: Scalar, times: int) -> _Course:
     """Fill until every bag has what fills it, or until the end (s); told of at so many times.
 

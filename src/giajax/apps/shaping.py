@@ -200,10 +200,7 @@ class Mode:
     swing: float
 
 
-@functools.partial(
-    program,
-    like=lambda arm, moved, command, mass: jax.ShapeDtypeStruct(moved[0].shape[:1], mass.dtype),
-)
+@program
 def _dissipated(arm: Arm, moved: tuple[Array, Array], command: Array, mass: Array) -> Array:
     """Power that moving costs an arm at rows of angles and rates, W."""
 
@@ -272,13 +269,7 @@ def _damping(
 _TUNING, _FINAL = 1e-4, 1e-5  # tolerances: of a millimetre, and of a tenth of that
 
 
-@functools.partial(
-    program,
-    like=lambda flights: (
-        jax.ShapeDtypeStruct(flights.times.shape, flights.times.dtype),
-        jax.ShapeDtypeStruct(flights.times.shape[:1], bool),
-    ),
-)
+@program
 def _moved(flights: Flight) -> tuple[Array, Array]:
     """Distance of the tip from where it comes to rest, m, and whether it was simulated."""
     return jax.lax.map(_moved_one, flights)
@@ -428,10 +419,7 @@ def shape_command(
     return Shaping(tuple(rows), tuple(worth), travel, tuple(notes))
 
 
-@functools.partial(
-    program,
-    like=lambda arm, commanded: jax.ShapeDtypeStruct((len(commanded), 3), commanded.dtype),
-)
+@program
 def _rest_tips(arm: Arm, commanded: Array) -> Array:
     """Where the tip is at rest by each row of commanded angles, m."""
 

@@ -1,7 +1,6 @@
 """An arm that is unrolled by a hand or by gas, and filled then: its course, table and picture."""
 
 import dataclasses
-import functools
 import json
 from typing import Any, NamedTuple
 
@@ -137,16 +136,7 @@ def _net_lift(unrolling: Unrolling, state: RollState) -> Float[Array, " link"]:
     return lift * tight - filling.borne_mass
 
 
-def _course_like(unrolling: Unrolling, end: Scalar, tolerance: Scalar, times: int) -> _Course:
-    """A course as of `_course`, without unrolling."""
-    del tolerance
-    grid, yes = jnp.zeros(times, end.dtype), jnp.zeros((), bool)
-    state = RollState(grid, grid, grid, Works(grid, grid, grid, grid))
-    links = jnp.zeros(unrolling.filling.arm.count, end.dtype)
-    return _Course(grid, state, links, end, yes, yes, jnp.zeros((), int))
-
-
-@functools.partial(program, like=_course_like)
+@program
 def _course(unrolling: Unrolling, end: Scalar, tolerance: Scalar, times: int) -> _Course:
     """Unroll until the whole arm is paid out, or until the end (s); told of at so many times."""
     exact = 100 * float(jnp.finfo(end.dtype).eps)

@@ -338,8 +338,7 @@ def responses(
         changed = [[values[index][path] for path in varied] for index in members]
         rows = jnp.asarray(np.asarray(changed, dtype=float), jnp.result_type(float))
         lengths = np.asarray([len(runs[i].observations[channels[0]]) for i in members])
-        samples = int(np.max(lengths))
-        shared = (model, paths, steps, channels, sizes, varied, tuple(ties), samples)
+        shared = (model, paths, steps, channels, sizes, varied, tuple(ties))
         amounts = _amounts(paths, sizes)
         tangents = _tangents(amounts, alone=len(members) == 1)
         # Each run with each part of the tangents.
@@ -394,28 +393,7 @@ def _tangents(count: int, *, alone: bool) -> np.ndarray:
     return whole.reshape(parts, each, count)
 
 
-def _responses_like(
-    prepared_runs: tuple[Any, Array, Array],
-    model: AbstractModel,
-    paths: tuple[str, ...],
-    steps: tuple[Array, ...],
-    channels: tuple[str, ...],
-    own: tuple[tuple[str, int], ...],
-    varied: tuple[str, ...],
-    ties: tuple[Tie, ...],
-    samples: int,
-) -> tuple[Any, ...]:
-    del model, paths, steps, own, varied, ties
-    _, rows, tangents = prepared_runs
-    count, table = len(rows), (samples, len(channels))
-    return (
-        jax.ShapeDtypeStruct((count, *table), rows.dtype),
-        jax.ShapeDtypeStruct((*tangents.shape[:2], *table), rows.dtype),
-        jax.ShapeDtypeStruct((count,), bool),
-    )
-
-
-@functools.partial(program, like=_responses_like)
+@program
 def _respond(
     prepared_runs: tuple[Any, Array, Array],
     model: AbstractModel,
@@ -425,13 +403,8 @@ def _respond(
     own: tuple[tuple[str, int], ...],
     varied: tuple[str, ...],
     ties: tuple[Tie, ...],
-    samples: int,
 ) -> tuple[Array, Array, Array]:
-    """Tables (run, sample, channel), their derivatives (run, tangent, sample, channel), success.
-
-    There are `samples` of the longest run, which decides the shapes.
-    """
-    del samples
+    """Tables (run, sample, channel), their derivatives (run, tangent, sample, channel), success."""
     inputs, *others = prepared_runs
     count = _amounts(paths, own)
     differentiated = (*dict.fromkeys(paths), *(path for path, _ in own))

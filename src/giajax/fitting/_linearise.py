@@ -1,7 +1,6 @@
 """The least-squares problem to first order: a block of the Jacobian a run, and their triangle."""
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Self
@@ -170,7 +169,7 @@ def _placed(triangles: Float[Array, "run row column"], batch: RunBatch, problem:
     return whole.reshape(runs * count, -1)
 
 
-# The compiled programs of a fit, each with what it returns, for those that are kept.
+# The compiled programs of a fit.
 #
 # At module level: a fresh closure would be compiled again for every fit.
 
@@ -178,14 +177,7 @@ Stepped = tuple[Array, MarquardtState, Any, Any]
 """Where the solver is, its state there, whether it is done, and whether at an optimum."""
 
 
-def _stepped(
-    solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
-) -> Stepped:
-    truth = jax.ShapeDtypeStruct((), bool)
-    return coordinate, state, truth, truth
-
-
-@functools.partial(program, like=_stepped)
+@program
 def step(
     solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
 ) -> Stepped:
@@ -194,17 +186,14 @@ def step(
     return _ended(solver, coordinate, problem, state, options)
 
 
-@functools.partial(program, like=lambda solver, coordinate, *rest: coordinate)
+@program
 def propose(
     solver: Marquardt, coordinate: Array, bijector: Bijector, state: MarquardtState, active: Array
 ) -> Array:
     return solver.propose(coordinate, _options(bijector, active), state)
 
 
-@functools.partial(
-    program,
-    like=lambda solver, coordinate, trial, parts, *rest: _stepped(solver, coordinate, *rest),
-)
+@program
 def judge(
     solver: Marquardt,
     coordinate: Array,
@@ -220,31 +209,13 @@ def judge(
     return _ended(solver, coordinate, problem, state, options)
 
 
-def _linearised_like(runs: tuple[Array, RunBatch], problem: Problem) -> tuple[Any, ...]:
-    values, batch = runs
-    count, columns = values.shape
-    rows = batch.observed.size // count
-    row, table, successful = _predicted_like(runs, problem)
-    block = jax.ShapeDtypeStruct((count, rows, columns), values.dtype)
-    triangle = jax.ShapeDtypeStruct((count, columns + 1, columns + 1), values.dtype)
-    return row, block, triangle, table, successful
-
-
-@functools.partial(program, like=_linearised_like)
+@program
 def linearised(runs: tuple[Array, RunBatch], problem: Problem) -> tuple[Array, ...]:
     values, batch = runs
     return over_batch(linearise_run, values, batch, problem)
 
 
-def _predicted_like(runs: tuple[Array, RunBatch], problem: Problem) -> tuple[Any, ...]:
-    values, batch = runs
-    count = values.shape[0]
-    row = jax.ShapeDtypeStruct((count, batch.observed.size // count), values.dtype)
-    table = jax.ShapeDtypeStruct(batch.observed.shape, values.dtype)
-    return row, table, jax.ShapeDtypeStruct((count,), bool)
-
-
-@functools.partial(program, like=_predicted_like)
+@program
 def predicted(runs: tuple[Array, RunBatch], problem: Problem) -> tuple[Array, ...]:
     values, batch = runs
     return over_batch(whitened_run, values, batch, problem)
@@ -255,13 +226,13 @@ def result_row(coordinate: Array, problem: Problem) -> Any:
     return jax.ShapeDtypeStruct((count,), coordinate.dtype)
 
 
-@functools.partial(program, like=result_row)
+@program
 def residual_row(coordinate: Array, problem: Problem) -> Array:
     row, prediction = residual(coordinate, problem)
     return jnp.where(prediction.successful, row, jnp.nan)
 
 
-@functools.partial(program, like=lambda parts, coordinate, problem: result_row(coordinate, problem))
+@program
 def joined_row(parts: Any, coordinate: Array, problem: Problem) -> Array:
     row, prediction = joined(parts, coordinate, problem)
     return jnp.where(prediction.successful, row, jnp.nan)

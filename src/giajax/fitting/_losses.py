@@ -52,7 +52,7 @@ def untransformed(rows: np.ndarray | float, slope: np.ndarray) -> np.ndarray:
     return np.divide(rows, slope, out=np.zeros(np.broadcast(rows, slope).shape), where=slope != 0)
 
 
-_scores = functools.partial(program, like=lambda loss, r: Scores(r, r, r, r))(_all_scores)
+_scores = program(_all_scores)
 
 
 @eqx.filter_custom_jvp

@@ -231,7 +231,7 @@ Floats = npt.NDArray[np.float64]
 
 
 # Compiled, or each of some forty operations would be dispatched by itself.
-_stiff_shares = program(stiff_share, like=lambda load: load)
+_stiff_shares = program(stiff_share)
 
 
 def bending_stiffness(arm: Arm, skin: Skin, pressure: npt.ArrayLike | None = None) -> Floats:

@@ -2,14 +2,12 @@
 
 import abc
 import dataclasses
-import functools
 import re
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any, ClassVar, Self
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -239,15 +237,7 @@ class AbstractModel(ShownAsTable, eqx.Module):
         return type(self).__name__, ("", ""), list({**rows, **parameter_rows(self)}.items())
 
 
-def _table_like(
-    model: AbstractModel, inputs: Any, channels: tuple[str, ...], samples: int
-) -> tuple[Any, Any]:
-    del model, inputs
-    table = jax.ShapeDtypeStruct((samples, len(channels)), jnp.result_type(float))
-    return table, jax.ShapeDtypeStruct((), bool)
-
-
-@functools.partial(program, like=_table_like)
+@program
 def _table_of(
     model: AbstractModel, inputs: Any, channels: tuple[str, ...], samples: int
 ) -> tuple[Array, Array]:

@@ -8,6 +8,8 @@ import enum
 import functools
 import gc
 import hashlib
+import inspect
+import json
 import operator
 import os
 import sys
@@ -309,19 +311,33 @@ def caches_programs() -> bool:
 
 
 class CachedProgram:
-    """A function whose programs are kept, with the arguments of `program` and `jax.jit`."""
+    """A function whose programs are kept, with options of `jax.jit`."""
 
-    def __init__(self, function: Call, like: Call, options: dict[str, Any]) -> None:
-        self._function, self._like, self._options = function, like, options
+    def __init__(self, function: Call, options: dict[str, Any]) -> None:
+        self._function, self._options = function, options
         self._calls: dict[str, Call | None] = {}
+        self._alike: dict[Any, Call | None] = {}
         _in_use.add(self)
 
     def forget(self) -> None:
         """Drop what is loaded; what is kept on disk stays."""
         self._calls.clear()
+        self._alike.clear()
 
     def ready(self, args: tuple[Any, ...]) -> Call | None:
         """What computes the function for arguments like these; None if it cannot be kept."""
+        leaves, tree = jax.tree.flatten(args)
+        try:
+            # As JAX itself tells calls apart, twenty times as fast as by a text.
+            alike = tree, tuple(map(_kind, leaves))
+            return self._alike[alike]
+        except KeyError:
+            found = self._alike[alike] = self._by_text(args)
+            return found
+        except TypeError:  # a part that has no hash
+            return self._by_text(args)
+
+    def _by_text(self, args: tuple[Any, ...]) -> Call | None:
         try:
             key = structure(args)
         except NoStructureError:
@@ -338,59 +354,134 @@ class CachedProgram:
 
     def _prepared(self, key: str, args: tuple[Any, ...]) -> Call:
         assert _folder is not None
-        like = self._like(*args)
-        path = _folder / self._name(key, structure(like))
-        leaves = jax.tree.leaves(eqx.filter(args, eqx.is_array))
-        places, static = eqx.partition(like, _is_shaped)
-        shapes, tree = jax.tree.flatten(places)
-        blank = _blank(shapes, leaves)
+        path = _folder / self._name(key)
+        leaves = _arrays(args)
         try:
-            module = read(path)
+            text, module = read(path).split(b"\n", 1)
+            result = restored(json.loads(text))
         except (OSError, ValueError):
-            # Not there, or not as it was written.
-            module = self._traced(args, leaves, like, blank)
+            # Not there, not as it was written, or of classes that this process does not know.
+            result, module = self._traced(args, leaves)
             # Where somebody edits meanwhile, nobody knows which source was traced.
             if sources() == origin():
-                write(path, module)
-        known = dataclasses.replace(blank, mlir_module_serialized=module)
+                write(path, json.dumps(described(result)).encode() + b"\n" + module)
+        places, static = eqx.partition(result, _is_shaped)
+        shapes, tree = jax.tree.flatten(places)
+        known = dataclasses.replace(_blank(shapes, leaves), mlir_module_serialized=module)
         # The same text in every process: the compilation cache knows it.
         compiled = jax.jit(known.call, **self._options).lower(*leaves).compile()
 
         def call(*args: Any) -> Any:
-            found = compiled(*jax.tree.leaves(eqx.filter(args, eqx.is_array)))
+            found = compiled(*_arrays(args))
             return eqx.combine(jax.tree.unflatten(tree, found), static)
 
         return call
 
-    def _traced(
-        self, args: tuple[Any, ...], leaves: Sequence[Any], like: Any, blank: export.Exported
-    ) -> bytes:
-        """The module of the function."""
+    def _traced(self, args: tuple[Any, ...], leaves: Sequence[Any]) -> tuple[Any, bytes]:
+        """What the function returns, with shapes for arrays, and its module."""
         dynamic, static = eqx.partition(args, eqx.is_array)
         tree = jax.tree.structure(dynamic)
-        returned: list[str] = []
+        returned: list[Any] = []
 
         def flat(*leaves: Any) -> tuple[Any, ...]:
             result = self._function(*eqx.combine(jax.tree.unflatten(tree, leaves), static))
             arrays, rest = eqx.partition(result, eqx.is_array)
-            returned.append(structure(rest))
+            # Not of a weak type: what takes it next is then one program, not two.
+            arrays = jax.tree.map(lambda x: jax.lax.convert_element_type(x, x.dtype), arrays)
+            shaped = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), arrays)
+            returned.append(eqx.combine(shaped, rest))
             return tuple(jax.tree.leaves(arrays))
 
         checks = [export.DisabledSafetyCheck.custom_call(name) for name in _UNSTABLE]
         whole = export.export(jax.jit(flat, keep_unused=True), disabled_checks=checks)(*leaves)
-        promised = structure(eqx.partition(like, _is_shaped)[1])
-        if returned[0] != promised or _calling(whole) != _calling(blank):
-            raise ValueError("the function does not return what it is said to")
-        return whole.mlir_module_serialized
+        result = returned[-1]
+        shapes = jax.tree.leaves(eqx.filter(result, _is_shaped))
+        if _calling(whole) != _calling(_blank(shapes, leaves)):
+            raise ValueError("the function does more than to return arrays")
+        return result, whole.mlir_module_serialized
 
-    def _name(self, key: str, result: str) -> str:
+    def _name(self, key: str) -> str:
         """The name of the file."""
-        name = f"{self._function.__module__}.{self._function.__qualname__}"
+        name = f"{self._function.__module__}.{_qualified(self._function)}"
         settings = sorted((k, v) for k, v in os.environ.items() if k.startswith(_SETTINGS))
         device = jax.devices()[0]
-        parts = (name, key, result, settings, repr(self._options), origin(), str(device.platform))
+        parts = (structure(self._function), key, settings, repr(self._options), origin(), str(device.platform))
         whole = repr((*parts, str(jax.numpy.result_type(float))))
         return f"{name}-{hashlib.sha256(whole.encode()).hexdigest()[:40]}{SUFFIX}"
+
+
+def described(tree: Any) -> Any:
+    """A tree, with shapes for arrays, as values of JSON: names, and nothing that could be run.
+
+    Raises:
+        NoStructureError: a part of it cannot be described.
+    """
+    if isinstance(tree, jax.ShapeDtypeStruct):
+        return {"shape": list(tree.shape), "dtype": str(tree.dtype)}
+    if isinstance(tree, (type(None), bool, int, float, str)):
+        return {"value": tree}
+    if isinstance(tree, (type, FunctionType)):
+        return {"name": [tree.__module__, _qualified(tree)]}
+    if isinstance(tree, dict) and all(isinstance(key, str) for key in tree):
+        return {"items": {key: described(value) for key, value in tree.items()}}
+    kind = {"class": [type(tree).__module__, _qualified(type(tree))]}
+    if isinstance(tree, (tuple, list)):
+        return kind | {"parts": [described(part) for part in tree]}
+    if isinstance(tree, eqx.Module):
+        fields = [field.name for field in dataclasses.fields(tree)]
+        return kind | {"fields": {name: described(getattr(tree, name)) for name in fields}}
+    raise NoStructureError(f"there is no description of {type(tree)}")
+
+
+def restored(text: Any) -> Any:
+    """The tree that `described` describes.
+
+    Raises:
+        ValueError: it has a class that is not what it was, or that nothing has imported.
+    """
+    match text:
+        case {"shape": shape, "dtype": dtype}:
+            return jax.ShapeDtypeStruct(tuple(shape), np.dtype(dtype))
+        case {"value": value}:
+            return value
+        case {"name": name}:
+            return _named(*name)
+        case {"items": items}:
+            return {key: restored(value) for key, value in items.items()}
+        case {"class": name, "parts": parts}:
+            kind, parts = _named(*name), [restored(part) for part in parts]
+            if kind in (tuple, list):
+                return kind(parts)
+            if isinstance(kind, type) and issubclass(kind, tuple):
+                # Also of a named one: no code of the class is run.
+                return tuple.__new__(kind, parts)
+        case {"class": name, "fields": fields}:
+            kind = _named(*name)
+            if isinstance(kind, type) and issubclass(kind, eqx.Module):
+                # As JAX itself makes one of its leaves.
+                made = object.__new__(kind)
+                for field, value in fields.items():
+                    object.__setattr__(made, field, restored(value))
+                return made
+    raise ValueError("this describes no result of a program")
+
+
+def _named(module: str, name: str) -> Any:
+    try:
+        return functools.reduce(getattr, name.split("."), sys.modules[module])
+    except (KeyError, AttributeError):
+        raise ValueError(f"nothing has imported {module}.{name}") from None
+
+
+def _arrays(args: tuple[Any, ...]) -> list[Any]:
+    return [leaf for leaf in jax.tree.leaves(args) if eqx.is_array(leaf)]
+
+
+def _kind(leaf: Any) -> Any:
+    """What of a leaf decides how it is traced."""
+    if eqx.is_array(leaf):
+        return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
+    return type(leaf), leaf
 
 
 def _is_shaped(leaf: Any) -> bool:
@@ -430,39 +521,44 @@ CPU_OPTIONS = {
 """Names and values of `jax.jit(compiler_options=...)`."""
 
 
-def program(function: Function, *, like: Callable[..., Any] | None = None) -> Function:
+def program(function: Function) -> Function:
     """Compile a function as `equinox.filter_jit` does, on a CPU with `CPU_OPTIONS`.
 
     XLA takes options for whole programs only: within another program, and under a transformation
     of JAX, the function becomes a part of that one, and has its options.
 
+    Where the process keeps programs (`cache_programs`), those of a function of a module are kept
+    between processes, and are not traced again.
+
     Arguments:
         function: a pure function of pytrees; what is no array is static.
-        like: from the same arguments, a tree as the function returns (`jax.ShapeDtypeStruct` will
-            do for an array). Its programs are then kept between processes, where the process
-            keeps any (`giajax.runtime.programs`), and are not traced again.
     """
     part = eqx.filter_jit(function)
     whole: Callable[..., Any] | None = None
-    kept: CachedProgram | None = None
+    known: CachedProgram | None = None
+    signature = inspect.signature(function)
 
     making = threading.Lock()
 
     def ready(args: tuple[Any, ...]) -> Callable[..., Any] | None:
-        nonlocal kept
-        if like is None or not caches_programs():
+        nonlocal known
+        if not caches_programs():
             return None
         with making:
-            kept = kept or CachedProgram(function, like, _options())
-        return kept.ready(args)
+            known = known or CachedProgram(function, _options())
+        return known.ready(args)
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal whole
         if _is_traced((args, kwargs)):
             return part(*args, **kwargs)
-        if not kwargs and (known := ready(args)) is not None:
-            return known(*args)
+        if kwargs and caches_programs():
+            bound = signature.bind(*args, **kwargs)
+            bound.apply_defaults()
+            args, kwargs = bound.args, bound.kwargs
+        if not kwargs and (found := ready(args)) is not None:
+            return found(*args)
         if whole is None:
             # Asks for the device, which an import must not do.
             options = _options()

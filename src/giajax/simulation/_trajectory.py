@@ -203,15 +203,7 @@ def _moved(motion: Trajectory, what: str) -> Array:
     return jax.vmap(at)(motion.times, motion.angles, motion.rates, motion.followed, *states)
 
 
-def _touched_like(arm: Arm, angles: Array, *_: Array | None) -> tuple[Array, Array]:
-    assert arm.contact is not None
-    shape = (*angles.shape, len(arm.contact.obstacles))
-    flattening: Any = jax.ShapeDtypeStruct(shape, angles.dtype)
-    force: Any = jax.ShapeDtypeStruct((*shape, 3), angles.dtype)
-    return flattening, force
-
-
-@functools.partial(program, like=_touched_like)
+@program
 def _touched(arm: Arm, angles: Array, rates: Array, skin: Array | None) -> tuple[Array, Array]:
     """Flattening and forces of every sample."""
     return jax.vmap(functools.partial(touched, arm))(angles, rates, skin)

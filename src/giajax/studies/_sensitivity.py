@@ -1,7 +1,6 @@
 """How strongly the channels of a run respond to parameters, and what that is worth to a fit."""
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -141,9 +140,7 @@ def sensitivity(
     parts = {part.path: part for path in parameters for part in elements(model, path)}
     values = jnp.stack([jnp.asarray(part.value(model)) for part in parts.values()])
     inputs = model.prepare(run)
-    samples = len(next(iter(run.values.values())))
-    given = (model, inputs, values, tuple(parts), names, samples)
-    predicted, derivatives, successful = _push(*given)
+    predicted, derivatives, successful = _push(model, inputs, values, tuple(parts), names)
     if not successful:
         raise SimulationError(capabilities.failure(model, inputs))
     return Sensitivity(
@@ -157,26 +154,14 @@ def sensitivity(
     )
 
 
-def _pushed_like(
-    model: Any, inputs: Any, values: Array, paths: Any, channels: tuple[str, ...], samples: int
-) -> tuple[Any, ...]:
-    del model, inputs, paths
-    shapes = (samples, len(channels)), (len(values), samples, len(channels))
-    tables = (jax.ShapeDtypeStruct(shape, values.dtype) for shape in shapes)
-    return (*tables, jax.ShapeDtypeStruct((), bool))
-
-
-@functools.partial(program, like=_pushed_like)
+@program
 def _push(
     model: AbstractModel,
     inputs: Any,
     values: Float[Array, " parameter"],
     paths: tuple[str, ...],
     channels: tuple[str, ...],
-    samples: int,
 ) -> tuple[Array, Array, Array]:
-    del samples
-
     def table(row: Array) -> tuple[Array, Array]:
         changed = replace(model, {path: row[i] for i, path in enumerate(paths)})
         predicted, successful = changed.predict(inputs, channels)

@@ -6,7 +6,6 @@ starts are looked at, and the best few of them followed.
 """
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple, Protocol
@@ -320,17 +319,7 @@ def _shared(experiment: Experiment, command: Command) -> tuple[Any, ...]:
     )
 
 
-def _informed_like(
-    draws: Array, bodies: Array, arrays: tuple[Any, ...], model: Any, moving: Any, names: Any
-) -> tuple[Any, ...]:
-    del model, moving
-    size, (count, channels) = _size(names), bodies.shape
-    table = (1, len(arrays[-1].times), channels)
-    shapes = (((1, count, size, size), draws.dtype), (table, draws.dtype), ((1,), bool))
-    return tuple(jax.ShapeDtypeStruct(*each) for each in shapes)
-
-
-@functools.partial(program, like=_informed_like)
+@program
 def _informed(
     draws: Float[Array, "1 parameter"],
     bodies: Float[Array, "body channel"],
@@ -351,12 +340,7 @@ def _informed(
     return found[None], (table / arrays[3][None])[None], successful[None]
 
 
-def _slopes_like(items: tuple[Array, ...], counts: Array, arrays: Any, *rest: Any) -> Any:
-    del counts, rest
-    return jax.ShapeDtypeStruct((1, *arrays[0].shape), items[0].dtype)
-
-
-@functools.partial(program, like=_slopes_like)
+@program
 def _slopes(
     items: tuple[Array, Array, Array],
     counts: Float[Array, " channel"],

@@ -1,7 +1,6 @@
 """Energy and momentum of a flown motion: works and impulses, integrated along a repeat of it."""
 
 import dataclasses
-import functools
 from typing import Any, NamedTuple
 
 import diffrax
@@ -159,18 +158,7 @@ def _powers(time: Any, state: Array, inputs: Inputs, slope: Array) -> tuple[Arra
     return moved, works, impulses
 
 
-def _audit_like(
-    arm: Arm, interval: Scalar, command: Array, wind: Array, tolerance: Scalar
-) -> Audit:
-    """An audit as of `audit`, without a motion."""
-    del wind, tolerance
-    row, dtype = len(command), interval.dtype
-    one, three = jnp.zeros(row, dtype), jnp.zeros((row, 3), dtype)
-    works, impulses = FlightWorks(*(one,) * 6), Impulses(*(three,) * 5)
-    return Audit(jnp.zeros((row, arm.count), dtype), one, three, works, impulses)
-
-
-@functools.partial(program, like=_audit_like)
+@program
 def audit(
     arm: Arm,
     interval: Scalar,

@@ -1,7 +1,6 @@
 """Gas of an arm of balloons: fed, at rest, let out, and pressed out as the arm is rolled up."""
 
 import dataclasses
-import functools
 from typing import Any, NamedTuple
 
 import diffrax
@@ -162,18 +161,7 @@ def _links_of(filling: Filling, state: BagState) -> tuple[Array, Array]:
     return state.pressure[here], state.fullness[here]
 
 
-def _course_like(
-    unrolling: Unrolling, handling: Handling, begin: GasState, tolerance: Scalar, times: int
-) -> GasCourse:
-    """A course as of `gas_course`, without steps."""
-    del handling, tolerance
-    links = jnp.zeros((times, unrolling.filling.arm.count), begin.fed.dtype)
-    grid, both, yes = links[:, 0], links[:2, 0], jnp.zeros((), bool)
-    share = jnp.zeros((times, begin.share.size), begin.fed.dtype)
-    return GasCourse(grid, share, links, links, grid, both, both, begin, yes, yes)
-
-
-@functools.partial(program, like=_course_like)
+@program
 def gas_course(
     unrolling: Unrolling, handling: Handling, begin: GasState, tolerance: Scalar, times: int
 ) -> GasCourse:
@@ -266,13 +254,7 @@ def as_one_bag(unrolling: Unrolling) -> Unrolling:
     )
 
 
-def _gas_like(filling: Filling, share: Array) -> GasState:
-    del filling
-    zero = jnp.zeros((), share.dtype)
-    return GasState(share, share, zero, zero, GasWorks(zero, zero, zero, zero))
-
-
-@functools.partial(program, like=_gas_like)
+@program
 def gas_at(filling: Filling, share: Array) -> GasState:
     """Bags with this share of the gas that fills them, from the supply; no work was done yet."""
     zero = jnp.zeros((), share.dtype)

@@ -1,11 +1,9 @@
 """A mission: an arm, who drives it, an opening to go through, and what came of it."""
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, Self
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -106,27 +104,7 @@ class _Now(NamedTuple):
     inside: Scalar
 
 
-def _rows_like(
-    arm: Arm, scene: Scene, controller: AbstractController, task: Task, wind: Any, error: Any,
-    late: int,
-) -> Rows:  # fmt: skip
-    """Rows as of `flight`, without flying."""
-    del controller, late
-    interval = scene.interval
-
-    def first(arm: Arm, task: Task, wind: Array) -> Rows:
-        moment = Stepper(arm, interval, tolerance=task.tolerance).start(wind=wind[0])
-        tip, shown = tip_position(arm, moment.angles), jnp.sum(jnp.zeros(4, dtype=bool))
-        rest = moment.command, tip, tip, shown, jnp.zeros_like(moment.angles), interval
-        return Rows(moment.time, moment.state, *rest)
-
-    return jax.tree.map(
-        lambda leaf: jax.ShapeDtypeStruct((len(error), *leaf.shape), leaf.dtype),
-        eqx.filter_eval_shape(first, arm, task, wind),
-    )
-
-
-@functools.partial(program, like=_rows_like)
+@program
 def flight(
     arm: Arm,
     scene: Scene,
@@ -270,7 +248,7 @@ class Outcome:
         return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
 
 
-_tip = program(tip_position, like=lambda arm, angles: jnp.zeros(3, angles.dtype))
+_tip = program(tip_position)
 
 
 def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row width"]) -> Outcome:

@@ -1,7 +1,6 @@
 """Plans: what a command is to do, the search for it, and what arms do by it."""
 
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -393,18 +392,7 @@ def _check(problem: PlanProblem, y: np.ndarray, duration: float | None) -> None:
         )
 
 
-def _flights_like(cases: Flight, around: Arm) -> tuple[Any, ...]:
-    count, samples = cases.times.shape
-    dtype, joints = cases.times.dtype, around.count
-    shapes = ((samples, joints), (samples, 3), (3,), (), ())
-    dtypes = (dtype, dtype, dtype, bool, dtype)
-    return tuple(
-        jax.ShapeDtypeStruct((count, *shape), kind)
-        for shape, kind in zip(shapes, dtypes, strict=True)
-    )
-
-
-@functools.partial(program, like=_flights_like)
+@program
 def _flights(cases: Flight, around: Arm) -> tuple[Array, ...]:
     """Angles, tips, rests, whether they were simulated, and the least clearance of each."""
 

@@ -11,9 +11,8 @@ Optimization, chapter 18.5).
 """
 
 import copy
-import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -112,17 +111,7 @@ def _kept(task: Task, unknown: Array) -> Array:
     return jnp.concatenate(rows)
 
 
-def _values_like(task: Task, unknown: Array) -> tuple[Any, Any]:
-    rows = AFTER
-    if task.arm.contact is not None:
-        rows += DURING + AFTER
-    if task.arm.pneumatics is not None:
-        rows += 2 * task.base.size
-    values = jax.ShapeDtypeStruct((rows,), unknown.dtype)
-    return values, jax.ShapeDtypeStruct((rows, len(unknown)), unknown.dtype)
-
-
-@functools.partial(program, like=_values_like)
+@program
 def _values(task: Task, unknown: Array) -> tuple[Array, Array]:
     """What is kept, and its slopes by the unknowns: one program for both."""
 

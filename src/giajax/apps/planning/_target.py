@@ -252,17 +252,7 @@ def _text(place: np.ndarray) -> str:
     return "({})".format(", ".join(f"{each:.4g}" for each in place))
 
 
-def _at_rest_like(arm: Arm, command: Array, goal: Array, most: Array) -> tuple[Any, Any]:
-    rows = 3
-    if arm.contact is not None:
-        rows += arm.count
-    if arm.pneumatics is not None:
-        rows += 2 * arm.count
-    values = jax.ShapeDtypeStruct((rows,), command.dtype)
-    return values, jax.ShapeDtypeStruct((rows, arm.count), command.dtype)
-
-
-@functools.partial(program, like=_at_rest_like)
+@program
 def _at_rest(arm: Arm, command: Array, goal: Array, most: Array) -> tuple[Array, Array]:
     """How far the tip is from a place at rest (m), how clear links are (m), and the headroom of
     muscles; and slopes of these by the command.
