@@ -385,7 +385,7 @@ DIAMETERS = (0.004, 0.005, 0.006, 0.007, 0.008, 0.01, 0.012, 0.015, 0.02)
 _TRIES = 40
 # A supply that is a hundred times as strong will not do either.
 _FAR = math.log(1e2)
-_CLOSE = 1e-6
+_CLOSE = 1e-5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -433,26 +433,29 @@ def filling_curve(
         raise InputError("there are no diameters: give at least one")
     path = STRENGTHS[made.supply.kind]
 
-    def one(diameter: float, guess: float) -> tuple[float, tuple[float, ...]]:
-        """The next guess, and the pair with its flow and pressure."""
+    def one(diameter: float, begin: _Slope) -> tuple[_Slope, tuple[float, ...]]:
+        """Where the next one begins, and the pair with its flow and pressure."""
         narrowed = replace(made, {PORTS.diameter.path: float(diameter)})
         check_filling(narrowed)
-        strength = _strength(narrowed, path, duration, guess)
-        if strength is None:
-            return guess, (diameter, np.nan, np.nan, np.nan)
-        found = fill(replace(narrowed, {path: strength}), limit=2 * duration)
-        return math.log(strength), (diameter, strength, found.flow[0], found.pressure[:, 0].max())
+        found = _strength(narrowed, path, duration, begin)
+        if found is None:
+            return begin, (diameter, np.nan, np.nan, np.nan)
+        end, course = found
+        strength = math.exp(end.at)
+        pressure, _, flow, _ = map(np.asarray, _states(replace(narrowed, {path: strength}), course))
+        return end, (diameter, strength, flow[0], pressure[:, 0].max())
 
     # From the widest, which needs what ports of no resistance need; then every other one beside
     # the rest, each from where the one before it ended.
     widest, *others = sorted(diameters, reverse=True)
-    first, pair = one(widest, math.log(float(get(made, path))))
+    # What a meter feeds takes a time that is inverse to it.
+    first, pair = one(widest, _Slope(math.log(float(get(made, path))), -1.0))
 
     def chain(tell: Tell, own: Sequence[float]) -> list[tuple[float, ...]]:
-        guess, found = first, []
+        begin, found = first, []
         for diameter in own:
             tell(lambda: None)  # after Ctrl-C no further one begins
-            guess, pair = one(diameter, guess)
+            begin, pair = one(diameter, begin)
             found.append(pair)
         tell(lambda: None)
         return found
@@ -466,13 +469,24 @@ def filling_curve(
     return FillingCurve(duration, pairs[0], pairs[1], path, pairs[2], pairs[3])
 
 
-def _strength(filling: Filling, path: str, duration: float, guess: float) -> float | None:
-    """The strength of the supply with which filling takes this long; None where there is none.
+class _Slope(NamedTuple):
+    """Logarithm of a strength, and how that of the duration changes with it."""
+
+    at: float
+    slope: float
+
+
+def _strength(
+    filling: Filling, path: str, duration: float, begin: _Slope
+) -> tuple[_Slope, _Course] | None:
+    """The strength of the supply with which filling takes this long, and the filling itself.
+
+    None where no strength suffices.
 
     By the secant in logarithms, kept between what is too little and what is too much.
     """
-    low, high, start = -math.inf, math.inf, guess
-    here, before = guess, None
+    low, high = -math.inf, math.inf
+    (here, slope), before = begin, None
     for _ in range(_TRIES):
         course = _tried(replace(filling, {path: math.exp(here)}), 4 * duration, 1e-7)
         if not bool(course.succeeded):
@@ -480,16 +494,14 @@ def _strength(filling: Filling, path: str, duration: float, guess: float) -> flo
         finished = bool(course.finished)
         late = math.log(float(course.times[-1]) / duration)
         if finished and abs(late) < _CLOSE:
-            return math.exp(here)
+            return _Slope(here, slope), course
         low, high = (max(low, here), high) if late > 0 else (low, min(high, here))
-        # What a meter feeds takes a time that is inverse to it.
-        slope = -1.0
         if before is not None and finished and before[0] != here:
             slope = min((late - before[1]) / (here - before[0]), -0.05)
         before = (here, late) if finished else None
         new = here - min(max(late / slope, -1.5), 1.5)
         here = new if low < new < high else (low + high) / 2
-        if abs(here - start) > _FAR or high - low < 1e-12:
+        if abs(here - begin.at) > _FAR or high - low < 1e-12:
             return None
     return None
 
