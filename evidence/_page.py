@@ -36,7 +36,8 @@ def _section(study: Study) -> str:
     versions = content["versions"]
     commit = (content["commit"] or "unknown")[:12]
     run = (
-        f"{content['size']} repetitions in {content['seconds']:.0f} s, seed {content['seed']}, "
+        f"{content['size']} {'repetition' if content['size'] == 1 else 'repetitions'} in "
+        f"{content['seconds']:.0f} s, seed {content['seed']}, "
         f"commit {commit}, jax {versions['jax']}, Python {versions['python']}: "
         f"[{study.name}.json]({study.name}.json)."
     )
