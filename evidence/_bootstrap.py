@@ -56,7 +56,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each parameter."""
     rows = [
-        "| parameter | spread over standard error | bias in standard errors | coverage |",
+        "| parameter | standard deviation over standard error | bias, standard errors | coverage |",
         "| --- | --- | --- | --- |",
     ]
     for path, one in figures["parameters"].items():
@@ -64,16 +64,17 @@ def table(figures: Figures) -> list[str]:
             f"| `{path}` | {one['spread']:.3f} +- {one['spread_error']:.3f} | "
             f"{one['bias']:+.3f} +- {one['bias_error']:.3f} | {100 * one['coverage']:.1f} % |"
         )
-    rows += ["", f"{figures['came_back']} of {figures['repetitions']} fits came back."]
+    rows += ["", f"{figures['came_back']} of {figures['repetitions']} fits ended with a result."]
     return rows
 
 
 BOOTSTRAP = Study(
     name="bootstrap",
     meaning=(
-        "The fit of the paper's base step, repeated with noise drawn anew (`giajax bootstrap`): "
-        "how far the repetitions spread and are off, in standard errors of the fit, and how often "
-        "the 95 % interval of a repetition holds the value that made its data."
+        "The fit of the paper's base step is repeated with new noise (`giajax bootstrap`). The "
+        "table lists the standard deviation of the repeated estimates, divided by the standard "
+        "error of the fit, their bias in standard errors, and the coverage: how often the 95 % "
+        "interval of a repetition contains the value that generated its data."
     ),
     size=400,
     seed=1,

@@ -137,7 +137,10 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 def table(figures: Figures) -> list[str]:
     """What chances came to, and how good they are."""
-    rows = ["| chance | cases | mean chance | inside |", "| --- | --- | --- | --- |"]
+    rows = [
+        "| predicted probability | cases | mean prediction | inside |",
+        "| --- | --- | --- | --- |",
+    ]
     for each in figures["classes"]:
         low, high = each["chance"]
         share = each["inside"] / each["cases"]
@@ -150,24 +153,26 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"{figures['cases']} missions by the {DRIVER} in air of {SPEEDS[0]:g} to "
-        f"{SPEEDS[1]:g} m/s, {figures['inside']} inside. Calibration: p = "
-        f"{figures['spiegelhalter_p']:.2f} "
-        f"(Spiegelhalter) and {figures['hosmer_lemeshow_p']:.2f} (Hosmer and Lemeshow). Brier "
-        f"skill over the share of success: {figures['skill']:.2f}, and "
-        f"{figures['skill_of_the_true_air']:.2f} of the true speed of the air. Of the "
-        f"{middling['cases']} missions in air of {low:.2f} to {high:.2f} m/s, where 20 to 90 % "
-        f"succeed: {middling['skill']:.2f} and {middling['skill_of_the_true_air']:.2f}. The air "
-        f"of the tenth of missions that looked most alike held the true one in "
-        f"{figures['air_holds']}; {figures['unlike']} recordings were called unlike all others.",
+        f"{figures['inside']} of {figures['cases']} missions by the {DRIVER} end inside, at air "
+        f"speeds of {SPEEDS[0]:g} to {SPEEDS[1]:g} m/s. Tests of the calibration give p = "
+        f"{figures['spiegelhalter_p']:.2f} (Spiegelhalter) and {figures['hosmer_lemeshow_p']:.2f} "
+        "(Hosmer and Lemeshow). The Brier skill score, relative to the overall rate of success, is "
+        f"{figures['skill']:.2f}; a prediction from the true air speed scores "
+        f"{figures['skill_of_the_true_air']:.2f}. For the {middling['cases']} missions at air "
+        f"speeds of {low:.2f} to {high:.2f} m/s, where 20 to 90 % succeed, the scores are "
+        f"{middling['skill']:.2f} and {middling['skill_of_the_true_air']:.2f}. The range of air "
+        "speeds of the most similar tenth of the missions contains the true air speed in "
+        f"{figures['air_holds']} missions. Number of recordings reported as unlike all others: "
+        f"{figures['unlike']}.",
     ]
 
 
 CERTIFICATE = Study(
     name="certificate",
     meaning=(
-        "Whether `giajax mission --from-recording` is right: chances of missions by a minute in "
-        "which the arm rests, and what came of the missions."
+        "The probability of success that `giajax mission --from-recording` predicts from a "
+        "recording of the resting arm, one minute long, is compared with the outcome of the "
+        "missions."
     ),
     size=1000,
     seed=1,

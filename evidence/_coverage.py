@@ -170,8 +170,8 @@ def _unlike_pulls(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
-        "| fitted, and its noise | correlation times | truth within the interval | p "
-        "| called inadequate | which is |",
+        "| model and noise | length of the run, correlation times | share of intervals that "
+        "contain the truth | p | verdict `inadequate` | that verdict is |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for case, each in figures.items():
@@ -183,7 +183,7 @@ def table(figures: Figures) -> list[str]:
         rows.append(
             f"| {case} | {'-' if lengths is None else lengths} | {shares} | {p_value(each):.2g} | "
             f"{100 * each['inadequate'] / fits:.1f} % | "
-            f"{'false' if each['adequate'] else 'right'} |"
+            f"{'wrong' if each['adequate'] else 'correct'} |"
         )
     return rows
 
@@ -191,11 +191,12 @@ def table(figures: Figures) -> list[str]:
 COVERAGE = Study(
     name="coverage",
     meaning=(
-        "Runs of three models with white or correlated noise, fitted from a start away from the "
-        "truth: how often the 95 % interval of a result holds the truth, the chance of shares as "
-        "far from that (binomial, corrected for the four parameters), and how often the verdict "
-        "is `inadequate`. Nominally that is at most 2 % where noise is white or its correlation "
-        "is stated; where correlation is not stated, it is what the verdict has to say."
+        "Runs of three models with white or correlated noise are fitted from a start away from "
+        "the truth. The table lists how often the 95 % interval of a parameter contains the "
+        "truth, the probability p of shares that deviate at least as much from 95 % (binomial "
+        "test, corrected for the four parameters), and how often the verdict is `inadequate`. "
+        "With white noise, or with a stated correlation, the nominal rate of `inadequate` is at "
+        "most 2 %. With correlated noise that is not stated, `inadequate` is the correct verdict."
     ),
     size=500,
     seed=1,

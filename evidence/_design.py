@@ -87,11 +87,12 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each experiment and arm."""
     rows = [
-        "| arm | experiment | converged | error of C_D expected | stated by the fits "
-        "| spread of C_D | mean (1.12) | within 95 % |",
+        "| arm | experiment | converged | expected standard error of C_D | standard error in the "
+        "fits | standard deviation of C_D | mean of C_D (truth 1.12) | intervals of 95 % with the "
+        "truth |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for world, what in (("as_foreseen", "as foreseen"), ("unknown", "with memory and gusts")):
+    for world, what in (("as_foreseen", "as in the design"), ("unknown", "with memory and gusts")):
         for name, each in figures["experiments"].items():
             one = each[world]
             foreseen = f"{each['expected']:.5f}" if world == "as_foreseen" else "-"
@@ -109,12 +110,13 @@ def table(figures: Figures) -> list[str]:
     ]
     rows += [
         "",
-        "The first suspects of fits of the unknown arm, without either and then with a mean wind: "
+        "First suspects in fits of the arm with memory and gusts, without both effects and then "
+        "with a free mean wind. "
         f"{'. '.join(asked)}.",
         "",
-        f"Expected is {figures['ratio']:.3f} times the error of the base step, after "
-        f"{figures['evaluations']} evaluations; {low:.2f} to {high:.2f} times the error of the "
-        "design over the draws of what it did not know.",
+        f"The expected standard error of the design is {figures['ratio']:.3f} times that of the "
+        f"base step, after {figures['evaluations']} evaluations. Over draws of the uncertain "
+        f"parameters, it is {low:.2f} to {high:.2f} times its nominal value.",
     ]
     return rows
 
@@ -122,12 +124,12 @@ def table(figures: Figures) -> list[str]:
 DESIGN = Study(
     name="design",
     meaning=(
-        "The experiment that `giajax design` finds for C_D, with joint, angle, rate and duration "
-        "of the paper's base step, beside that: the standard error to expect, and the spread of "
-        "C_D in fits of repeated recordings. Of an arm that the design did not know there are "
-        "half as many: its joints remember (Dahl), and it hangs in gusts that nobody recorded. Its "
-        "fits have free what is among the first suspects of a fit without it: a mean wind, and "
-        "then that memory."
+        "The experiment that `giajax design` finds for C_D is compared with the paper's base step "
+        "of the same joint, angle, rate and duration: by the expected standard error, and by the "
+        "standard deviation of C_D over fits of repeated recordings. Half as many recordings are "
+        "made of an arm with effects that the design did not include: joints with memory (Dahl), "
+        "and unrecorded gusts. Fits of that arm free the effects that are among the first "
+        "suspects of the simpler fits: a mean wind, and then the memory."
     ),
     size=200,
     seed=1,

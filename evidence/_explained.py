@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import _omissions as omissions
-from ._omissions import AND, OFF, START
+from ._omissions import AND, OFF, START, shown
 from ._study import Figures, Study
 
 if TYPE_CHECKING:
@@ -169,8 +169,8 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each recording."""
     rows = [
-        "| five omissions | steps | minutes on one core | verdict | C_D, errors off | "
-        "by hand | error over that by hand |",
+        "| omitted effects | steps | minutes on one core | verdict | C_D, deviation | C_D of the "
+        "reference model, deviation | standard error over that of the reference |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -187,25 +187,32 @@ def table(figures: Figures) -> list[str]:
             for of in (explained, hand)
         ]
         steps = ", ".join(f"`{step}`" for step in each["steps"]) or "-"
-        omitted = name.partition(": ")[2].replace(AND, "; ")
+        omitted = shown(name.partition(": ")[2].replace(AND, "; "))
         against = len(each["sentences"])
-        told = f"{against} against it" if against else "adequate"
+        told = f"{against} objections" if against else "adequate"
         if each["ended"] != "selected":
             told = f"{told}, {each['ended']}"
         cells = [omitted, steps, f"{each['minutes']:g}", told, *values, wider]
         rows.append(f"| {' | '.join(cells)} |")
     right = sum(map(_is_right, figures.values()))
-    return [*rows, "", f"Right to three errors: {right} of {len(figures)}."]
+    return [
+        *rows,
+        "",
+        f"The drag coefficient is within three standard errors of the truth in {right} of "
+        f"{len(figures)} cases.",
+    ]
 
 
 EXPLAINED = Study(
     name="explained",
     meaning=(
-        "`giajax explain` on recordings of MuJoCo's motions of an arm of 12 links with five "
-        "omissions at once, drawn at random from six groups: what it adds to the paper's model, "
-        "and its drag beside that of the model that has all five, built by hand. The true "
-        "coefficient of drag is 1.18; errors are total ones, of noise and of the selection. Each "
-        "explanation has 15 minutes on one core, after which it ends with what it has."
+        "`giajax explain` is applied to recordings that MuJoCo simulates of an arm of 12 links "
+        "with five omitted effects at once, drawn at random from six groups. The table lists the "
+        "changes that it makes to the paper's model, and compares its drag coefficient with that "
+        "of a reference model, which contains all five effects and is built by hand. The true "
+        "drag coefficient is 1.18. Standard errors are total errors from noise and from the "
+        "selection. Deviations from the truth are in standard errors. Each run is limited to 15 "
+        "minutes on one core, and then keeps the best model so far."
     ),
     size=10,
     seed=2,

@@ -74,22 +74,24 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
-        "| fit, and what is left out | fits | rank correlation | largest shift | step less fit |",
+        "| fit and omitted data | converged fits | rank correlation | largest shift | largest "
+        "difference between step and fit |",
         "| --- | --- | --- | --- | --- |",
     ]
     rows += [
         f"| {name} | {one['converged']} of {one['parts']} | {one['rank_correlation']:.3f} | "
-        f"{one['largest_shift']:.2f} | at most {one['largest_difference']:.2f} |"
+        f"{one['largest_shift']:.2f} | {one['largest_difference']:.2f} |"
         for name, one in figures.items()
     ]
-    return [*rows, "", "Shifts of all parameters, in standard errors."]
+    return rows
 
 
 INFLUENCE = Study(
     name="influence",
     meaning=(
-        "What each marker or run of a shipped fit does to each parameter: by one step from the "
-        "optimum (`giajax influence`), against a fit without it."
+        "The effect of each marker or run on each parameter of a shipped fit is estimated by one "
+        "step from the optimum (`giajax influence`), and compared with a complete fit without "
+        "that marker or run. Shifts are those of all parameters, in standard errors."
     ),
     size=1,
     seed=0,

@@ -138,7 +138,8 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
-        "| fits with | kills | with a journal begun | unreadable journals | same numbers |",
+        "| fits with | kills | kills after the journal was opened | unreadable journals | same "
+        "numbers |",
         "| --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -152,9 +153,9 @@ def table(figures: Figures) -> list[str]:
 KILLS = Study(
     name="kills",
     meaning=(
-        "Fits of `fits/joint_loops.toml` with a robust loss, killed at random moments from the "
-        "start of the process on and resumed until one ends: whether each has the numbers of a "
-        "fit that was left alone, bit for bit."
+        "Fits of `fits/joint_loops.toml` with a robust loss are killed at random moments after "
+        "the start of the process and resumed until they end. The table lists whether each "
+        "resumed fit has the same numbers as an uninterrupted fit, bit for bit."
     ),
     size=10,
     seed=1,

@@ -195,9 +195,9 @@ def cell(estimate: Mapping[str, float | None]) -> str:
 LADDER = Study(
     name="ladder",
     meaning=(
-        "`giajax suspects --ladder` on `data/synthetic/full_air.csv`, from a fit by the paper's "
-        "model, which is told nothing of what is missing: trim weights, added mass and drag along "
-        "the links."
+        "`giajax suspects --ladder` is applied to `data/synthetic/full_air.csv`, starting from a "
+        "fit of the paper's model. That model omits trim weights, added mass and distributed drag "
+        "along the links. The command has no information about these omissions."
     ),
     size=1,
     seed=1,

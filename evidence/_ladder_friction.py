@@ -64,7 +64,7 @@ def _climbed(most: int) -> Figures:
 def table(figures: Figures) -> list[str]:
     """A row for each fit."""
     rows = [
-        "| fit | chi-square | C_D | k, N m/rad | c, N m s/rad | strength, N m | yield, rad |",
+        "| fit | chi-square | C_D | k, N m/rad | c, N m s/rad | strength, N m | yield angle, rad |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for rung in figures["rungs"]:
@@ -80,9 +80,10 @@ def table(figures: Figures) -> list[str]:
 LADDER_FRICTION = Study(
     name="ladder_friction",
     meaning=(
-        "`giajax suspects --ladder` on `data/independent/friction.csv`, a recording of another "
-        "engine, from a fit by the paper's model: Dahl's friction, drag along the links, and added "
-        "mass without its products of velocities are missing, and nobody says so."
+        "`giajax suspects --ladder` is applied to `data/independent/friction.csv`, a recording "
+        "simulated by MuJoCo, starting from a fit of the paper's model. That model omits Dahl "
+        "friction, distributed drag along the links, and added mass without its velocity "
+        "products. The command has no information about these omissions."
     ),
     size=1,
     seed=1,

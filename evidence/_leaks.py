@@ -207,46 +207,51 @@ def table(figures: Figures) -> list[str]:
     known = [arm["error_before"] for arm in gusty]
     rows = [
         (
-            f"leaks of {1 - LEFT:.0%} that are seen within {WITHIN:g} s",
+            f"leaks of {1 - LEFT:.0%} detected within {WITHIN:g} s",
             f"{soon:.0%} (median {np.median(found):.1f} s, largest {max(found):.1f} s)",
         ),
-        ("time of the leak, largest error", f"{max(times):.1f} s"),
-        ("change of stiffness as seen then", f"{min(sizes):.0%} to {max(sizes):.0%}"),
-        (f"false alarms in 20 h, of {figures['hours']:g} h", f"{false:.2g}"),
-        (f"drag after {FLIES:g} s within {OFF:g} of its errors", f"{right} of {len(arms)}"),
+        ("largest error of the estimated time of the leak", f"{max(times):.1f} s"),
+        ("estimated change of stiffness at detection", f"{min(sizes):.0%} to {max(sizes):.0%}"),
+        (f"false alarms per 20 h, from {figures['hours']:g} h", f"{false:.2g}"),
         (
-            f"its error at most {WIDER:g} of that of a fit of the same {FLIES:g} s",
+            f"drag after {FLIES:g} s within {OFF:g} standard errors of the truth",
+            f"{right} of {len(arms)}",
+        ),
+        (
+            f"standard error of drag at most {WIDER:g} of that of a fit of these {FLIES:g} s",
             f"{sure} of {len(arms)} ({min(ratio):.2f} to {max(ratio):.2f})",
         ),
         (
-            "the same, as sure of start and motion as the fit; from the fit in its errors",
-            f"{min(alike):.3f} to {max(alike):.3f}; {off:.2f} at most",
+            "this ratio with the assumptions of the fit; deviation from the fit, standard errors",
+            f"{min(alike):.3f} to {max(alike):.3f}; at most {off:.2f}",
         ),
         (
-            f"leaks in gusts that are seen at all, within {min(watched):.0f} to "
+            f"leaks detected in gusts, within {min(watched):.0f} to "
             f"{max(watched):.0f} s (arms of {SHORT} links)",
-            f"{called} of {len(gusty)}; the stiffness is known to {min(known):.1%} to "
-            f"{max(known):.1%} before",
+            f"{called} of {len(gusty)}; standard error of the stiffness before the leak: "
+            f"{min(known):.1%} to {max(known):.1%}",
         ),
     ]
     return [
-        "| of what | figure |",
+        "| quantity | result |",
         "| --- | --- |",
         *(f"| {name} | {cell} |" for name, cell in rows),
         "",
-        f"Leaks and drag are of arms of {figures['links']} links, hours without a leak of arms of "
-        f"{SHORT}. The arms are driven all the time, and the air is still. A fit takes the start "
-        "and the equation of motion to be exact; the tracker allows for a start that is 2 degrees "
-        "off, and for the unmodelled torque of its default. Gusts are of "
-        f"{INTENSITY * float(np.linalg.norm(MEAN)):.2g} m/s and tracked.",
+        f"Leaks and drag are measured with arms of {figures['links']} links, false alarms with "
+        f"arms of {SHORT} links. The arms move all the time, and the air is still except in the "
+        "last row. A fit assumes that the initial state and the equation of motion are exact. The "
+        "tracker assumes an uncertainty of 2 degrees in the initial angles, and its default "
+        "unmodelled torque. Gusts have a standard deviation of "
+        f"{INTENSITY * float(np.linalg.norm(MEAN)):.2g} m/s and are tracked.",
     ]
 
 
 LEAKS = Study(
     name="leaks",
     meaning=(
-        "What `giajax track --free` finds while an arm flies: a leak that takes a fifth of the "
-        "stiffness of all joints, and the drag coefficient, beside a fit of the same run."
+        "`giajax track --free` detects a leak while an arm flies, and estimates the drag "
+        "coefficient. The leak takes a fifth of the stiffness of all joints. The drag coefficient "
+        "is compared with a fit of the same run."
     ),
     size=10,
     seed=1,

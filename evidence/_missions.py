@@ -62,18 +62,30 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     return sentences
 
 
+REASONS = {
+    "the tip did not come near": "the tip did not approach the opening",
+    "the tip came near, and not in": "the tip approached the opening and did not enter it",
+    "the tip came in, and did not stay": "the tip entered the opening and did not stay inside",
+}
+"""Stored reasons of failures as the page has them."""
+
+
 def table(figures: Figures) -> list[str]:
     """A row for each reading and speed of the air."""
     rows = [
-        "| 14 m | air m/s | inside within 12 min | 95 % interval | median s | quartiles s "
-        "| touched | most flattened mm | most N | why not |",
+        "| distance of 14 m | air speed, m/s | inside within 12 min | 95 % interval | median time, "
+        "s | quartiles, s | cases with contact | largest flattening, mm | largest force, N | "
+        "reasons for failure |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
         for row in each["winds"]:
             low, middle, high = row["quartiles_s"] or ("-", "-", "-")
             least, most = row["interval"]
-            why = "; ".join(f"{count}: {reason}" for reason, count in row["reasons"].items())
+            why = "; ".join(
+                f"{count}: {REASONS.get(reason, reason)}"
+                for reason, count in row["reasons"].items()
+            )
             rows.append(
                 f"| {name} | {row['wind_m_per_s']:g} | {row['inside']} of {row['cases']} | "
                 f"{100 * least:.1f} to {100 * most:.1f} % | {middle} | {low} to {high} "
@@ -85,18 +97,18 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"Drawn from case to case, by the standard deviation of their logarithm: {drawn}. The air "
-        "is a level mean flow of 0.3 of its speed in any direction, with gusts of 2 m along the "
-        "arm that make up the rest. Half a diameter of a link is 150 mm.",
+        f"Parameters drawn for each case, with the standard deviation of their logarithm: {drawn}. "
+        "The air has a horizontal mean flow of 0.3 times its speed in any direction; gusts with a "
+        "length of 2 m along the arm supply the rest. The radius of a link is 150 mm.",
     ]
 
 
 MISSIONS = Study(
     name="missions",
     meaning=(
-        "How often, and how soon, the operator of `giajax mission` brings the paper's arm through "
-        "the window frame of the mock-up, against the speed of the air; what it touched on the "
-        "way, and why it failed where it did."
+        "The operator model of `giajax mission` steers the paper's arm through the window frame "
+        "of the mock-up. The table lists, for each air speed, how often it succeeds and how soon, "
+        "how often the arm touches the frame, and the reasons for failures."
     ),
     size=1000,
     seed=1,

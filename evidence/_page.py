@@ -10,10 +10,11 @@ PAGE = FOLDER / "README.md"
 _INTRODUCTION = """\
 # Evidence
 
-What takes too long for a test. Each table is written by `make evidence NAME` from the file
-beside it, which has the commit, the versions and the seed; `make test-long` runs a fiftieth of
-each study, or of some of its cases, again with other random numbers, and compares. Where parts of
-a study were kept when it was stopped, the time is that of the run that ended it.
+This page contains studies that take too long for a test. `make evidence NAME` computes each study
+and writes its figures to the JSON file that is named below its table, together with the commit, the
+versions and the random seed. `make test-long` repeats a fiftieth of each study, or some of its
+cases, with other random numbers, and compares the results. If an interrupted study was resumed, the
+time is that of the last run.
 """
 
 
@@ -35,7 +36,8 @@ def _section(study: Study) -> str:
     versions = content["versions"]
     commit = (content["commit"] or "unknown")[:12]
     run = (
-        f"{content['size']} repetitions in {content['seconds']:.0f} s, seed {content['seed']}, "
+        f"{content['size']} {'repetition' if content['size'] == 1 else 'repetitions'} in "
+        f"{content['seconds']:.0f} s, seed {content['seed']}, "
         f"commit {commit}, jax {versions['jax']}, Python {versions['python']}: "
         f"[{study.name}.json]({study.name}.json)."
     )

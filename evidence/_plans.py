@@ -96,11 +96,12 @@ def _or_never(time: float | None) -> float:
 def table(figures: Figures) -> list[str]:
     """A row for each command, of arms with springs alone and of those that remember."""
     rows = [
-        "| joints | command | ends, median s | tip at rest, median s | latest | never | residual, "
-        "median | stiffness a quarter off: median | largest |",
+        "| joints | command | end of the command, median, s | tip at rest, median, s | tip at "
+        "rest, latest, s | never at rest | residual, median | stiffness changed by a quarter: "
+        "median | largest |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for remembers, what in ((False, "springs"), (True, "that remember")):
+    for remembers, what in ((False, "springs only"), (True, "with memory")):
         arms = [
             each
             for each in figures["arms"]
@@ -131,16 +132,18 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"{len(figures['arms']) - len(arms)} of {len(figures['arms'])} moves were refused. The "
-        f"tip is within {NEAR:g} % of the travel of its target in "
-        f"{np.count_nonzero(np.array(missed) <= NEAR)} of {len(arms)} plans, off by "
-        f"{np.max(missed):.2f} % at the most; it is at rest in {np.nanmedian(sooner):.2f} of the "
-        f"time of the sooner one of the shaped commands (median; {np.nanmax(sooner):.2f} at the "
-        'most). "Never" is not within three periods of the slowest mode after the command.',
+        f"The planner refused {len(figures['arms']) - len(arms)} of {len(figures['arms'])} moves. "
+        f"The final distance of the tip from its target is at most {NEAR:g} % of the travel in "
+        f"{np.count_nonzero(np.array(missed) <= NEAR)} of {len(arms)} plans, and at most "
+        f"{np.max(missed):.2f} % in all. The time until it is at rest is "
+        f"{np.nanmedian(sooner):.2f} times that of the faster shaped command (median; largest "
+        f"{np.nanmax(sooner):.2f}). Never means not within three periods of the slowest mode after "
+        "the end of the command.",
         "",
-        f"Drawn by the standard deviation of their logarithm: {drawn}; the angle of the base joint "
-        f"evenly from {ANGLES[0]:g} to {ANGLES[1]:g} degrees, another joint by half of it; at most "
-        f"{figures['rate_deg_per_s']:g} degrees a second.",
+        f"Parameters drawn for each arm, with the standard deviation of their logarithm: {drawn}. "
+        f"The angle of the base joint is uniform from {ANGLES[0]:g} to {ANGLES[1]:g} degrees, and "
+        f"another joint moves by half of it. The largest rate is {figures['rate_deg_per_s']:g} "
+        "degrees per second.",
     ]
 
 
@@ -153,9 +156,10 @@ def _sooner(commands: dict[str, Any]) -> float:
 PLANS = Study(
     name="plans",
     meaning=(
-        "How soon the tip of the paper's arm in full air rests after a move: directly at the "
-        "largest rate, with the same command shaped, and by `giajax plan`; and what is left of the "
-        "swing with a stiffness that is a quarter off."
+        "The time until the tip of the paper's arm in full air is at rest after a move is "
+        "compared for three commands: a direct move at the largest rate, the same command shaped, "
+        "and the command of `giajax plan`. The last columns list the residual swing of an arm "
+        "whose stiffness differs by a quarter."
     ),
     size=6,
     seed=1,

@@ -188,8 +188,8 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """Two tables: agreement, and calibration."""
     rows = [
-        "| well determined | parameter | 95 % interval over the linear one | shift of the mean, of "
-        "that interval | R-hat | ESS bulk | ESS tail |",
+        "| well determined model | parameter | 95 % interval, posterior over linear | shift of "
+        "the mean over that interval | R-hat | ESS bulk | ESS tail |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures["agreement"].items():
@@ -200,8 +200,8 @@ def table(figures: Figures) -> list[str]:
             )
     rows += [
         "",
-        "| not linear | parameter | posterior holds the truth | linear interval does | ranks of "
-        "the truth in eighths | chance of ranks so uneven | draws that diverged |",
+        "| nonlinear model | parameter | coverage, posterior | coverage, linear interval | ranks "
+        "of the truth, in eighths | p of uniform ranks | divergent draws |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures["calibration"].items():
@@ -222,10 +222,12 @@ def _row(name: str, path: str, one: Mapping[str, Any], case: Mapping[str, Any]) 
 POSTERIOR = Study(
     name="posterior",
     meaning=(
-        "Draws of `giajax posterior` against the linear interval of the fit, where that is right; "
-        "and where it is not, truths from the prior, recorded and fitted: the posterior is to hold "
-        "95 % of them, and their ranks among independent draws are to be uniform (simulation-based "
-        "calibration, [Talts et al. 2018](https://arxiv.org/abs/1804.06788))."
+        "Where the linear approximation is accurate, draws of `giajax posterior` are compared "
+        "with the linear interval of the fit. Where it is not, true values are drawn from the "
+        "prior, and synthetic recordings with these values are fitted. The posterior interval "
+        "should contain 95 % of the true values, and their ranks among independent draws should "
+        "be uniform (simulation-based calibration, [Talts et al. "
+        "2018](https://arxiv.org/abs/1804.06788))."
     ),
     size=60,
     seed=3,

@@ -144,8 +144,8 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each parameter."""
     rows = [
-        "| fitted | parameter | truth within, by the error | truth within, by profile "
-        "| median width of the profile's, over the other |",
+        "| model | parameter | coverage, standard error | coverage, profile | median width, "
+        "profile over standard error |",
         "| --- | --- | --- | --- | --- |",
     ]
     for case, each in figures.items():
@@ -156,7 +156,7 @@ def table(figures: Figures) -> list[str]:
             rows.append(f"| {case} | `{path}` | {' | '.join(shares)} | {one['width']:.2f} |")
     rows += [
         "",
-        "| the demonstration run | lower ends differ by | upper ends differ by |",
+        "| demonstration run | difference of lower ends | difference of upper ends |",
         "| --- | --- | --- |",
     ]
     for path, (low, high) in figures["base_step"].items():
@@ -167,10 +167,12 @@ def table(figures: Figures) -> list[str]:
 PROFILE = Study(
     name="profile",
     meaning=(
-        "Intervals by the standard error and by profile. Of two models in closed form, one with "
-        "a parameter whose truth is its bound and one with a valley that bends: how often either "
-        "95 % interval holds the truth. Of the demonstration run, which determines its "
-        "parameters well: how far their ends differ, in half widths."
+        "Intervals from the standard error are compared with intervals from the profile "
+        "likelihood. For two closed-form models, one with a parameter whose true value lies on "
+        "its bound and one with a curved valley of the cost, the first table lists how often each "
+        "95 % interval contains the truth. For the demonstration run, whose parameters are well "
+        "determined, the second table lists the differences between the ends of the intervals, "
+        "relative to half of their width."
     ),
     size=200,
     seed=1,

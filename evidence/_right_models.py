@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import _omissions as omissions
-from ._omissions import MEMORY, NOTHING, SINGLE, START, TRUTH, UNCERTAIN, USUAL
+from ._omissions import MEMORY, NOTHING, SINGLE, START, TRUTH, UNCERTAIN, USUAL, shown
 from ._study import PROBABILITY, Figures, Study
 from ._suspects import differing
 
@@ -96,8 +96,9 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each kind of recording and sensor set."""
     rows = [
-        "| recording | adequate | doubtful | accused | off by 3 errors | "
-        "values in intervals of 95 % | errors over those of a fit that knows |",
+        "| recording | adequate | doubtful | false alarms | deviation above 3 standard errors | "
+        "values within their 95 % intervals | standard errors over those of a fit that knows the "
+        "drawn quantity |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -107,20 +108,21 @@ def table(figures: Figures) -> list[str]:
         cells = " | ".join(f"{cell} of {count}" for cell in several)
         values = count * len(TRUTH)
         covered = f"{each['covered']} of {values} ({each['covered'] / values:.1%})"
-        shown = ", ".join(f"{path} {times:.2f}" for path, times in wider.items()) or "-"
-        rows.append(f"| {name} | {cells} | {covered} | {shown} |")
+        wider_by = ", ".join(f"{path} {times:.2f}" for path, times in wider.items()) or "-"
+        rows.append(f"| {shown(name)} | {cells} | {covered} | {wider_by} |")
     return rows
 
 
 RIGHT_MODELS = Study(
     name="right_models",
     meaning=(
-        "Recordings of MuJoCo's motions of the same arm by the model that is fitted: how often it "
-        "is accused, which is a verdict that is not `adequate`, or a significant suspect. Noise "
-        "with a memory (rho 0.9) that is not stated has to be called `inadequate`, and is no "
-        "accusation unless a suspect is named for it. Where delay, rate, scale and width are drawn "
-        "from what is usual, intervals are of the total error; where one of them is, errors are "
-        "compared with those of a fit that frees that one alone, with the same prior."
+        "MuJoCo simulates recordings with the same model that is fitted. A false alarm is a "
+        "verdict other than `adequate`, or a significant suspect. With correlated noise (rho 0.9) "
+        "that is not stated, the verdict has to be `inadequate`, and only a named suspect counts "
+        "as a false alarm. If delay, frame rate, scale and link widths are drawn from their usual "
+        "uncertainty, intervals are those of the total error. If only one of these quantities is "
+        "drawn, standard errors are compared with those of a fit that frees this quantity alone, "
+        "with the same prior."
     ),
     size=167,
     seed=1,

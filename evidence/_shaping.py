@@ -117,8 +117,9 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each duration and shaper."""
     rows = [
-        "| move, periods | shaper | residual, median | largest | within 2 % | stiffness a quarter "
-        "off: median | largest | within 5 % | tip at rest, median s |",
+        "| duration of the move, periods | shaper | residual, median | residual, largest | within "
+        "2 % | stiffness changed by a quarter: median | largest | within 5 % | time until the tip "
+        "is at rest, median, s |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for duration, each in figures["durations"].items():
@@ -136,18 +137,18 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"Drawn by the standard deviation of their logarithm: {drawn}; the angle of the base joint "
-        f"evenly from {ANGLES[0]:g} to {ANGLES[1]:g} degrees. Every fourth arm has joints that "
-        "remember. Residuals are of the travel of the tip.",
+        f"Parameters drawn for each arm, with the standard deviation of their logarithm: {drawn}. "
+        f"The angle of the base joint is uniform from {ANGLES[0]:g} to {ANGLES[1]:g} degrees. "
+        "Every fourth arm has joints with memory. Residuals are relative to the travel of the tip.",
     ]
 
 
 SHAPING = Study(
     name="shaping",
     meaning=(
-        "What is left of the swing of the paper's arm in full air after a command as it is, and "
-        "after the same command shaped by `giajax shape`: with the arm that it was shaped for, and "
-        "with a stiffness that is a quarter off."
+        "The residual swing of the paper's arm in full air is measured after an unshaped command, "
+        "and after the same command shaped by `giajax shape`: for the arm that the shaper was "
+        "designed for, and for an arm whose stiffness differs by a quarter."
     ),
     size=16,
     seed=1,

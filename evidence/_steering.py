@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ._missions import REASONS
 from ._record import ROOT
 from ._study import Figures, Study, shares_differ
 
@@ -146,20 +147,30 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     return sentences
 
 
+SHOWN = {
+    "mpc, some of these, 200 s": "mpc, subset of the cases, limit of 200 s",
+    "mpc that knows all, 200 s": "mpc with the true parameters, the same subset",
+}
+"""Stored names of controllers as the page has them."""
+
+
 def table(figures: Figures) -> list[str]:
-    """Missions by who drives."""
+    """A row for each controller and speed of the air."""
     rows = [
-        "| 14 m | air m/s | driver | inside within 12 min | median s | quartiles s | touched | "
-        "most flattened mm | why not |",
+        "| distance of 14 m | air speed, m/s | controller | inside within 12 min | median time, s "
+        "| quartiles, s | cases with contact | largest flattening, mm | reasons for failure |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
         for row in each:
             low, high = row.get("quartiles_s") or ("-", "-")
-            why = "; ".join(f"{n}: {reason}" for reason, n in row.get("reasons", {}).items())
+            why = "; ".join(
+                f"{n}: {REASONS.get(reason, reason)}"
+                for reason, n in row.get("reasons", {}).items()
+            )
             flat = row.get("largest_flattening_m")
             cells = [
-                name, f"{row['wind_m_per_s']:g}", row["driver"],
+                name, f"{row['wind_m_per_s']:g}", SHOWN.get(row["driver"], row["driver"]),
                 f"{row['inside']} of {row['cases']}", row["median_s"] or "-", f"{low} to {high}",
                 row.get("touched", "-"), "-" if flat is None else f"{1e3 * flat:.0f}", why or "-",
             ]  # fmt: skip
@@ -167,16 +178,17 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"Pictures are {LATENCY:g} s late. The operator is retuned: 0.3 m/s, and 2 deg/s on the "
-        "way to its approach.",
+        f"Pictures arrive {LATENCY:g} s late. The operator model is retuned to 0.3 m/s, and to "
+        "2 deg/s on the way to the start of its approach.",
     ]
 
 
 STEERING = Study(
     name="steering",
     meaning=(
-        "How soon and how often the tip of the paper's arm is brought through the window frame of "
-        "the mock-up by `giajax mission --controller mpc`, and by others."
+        "`giajax mission --controller mpc` and other controllers steer the tip of the paper's arm "
+        "through the window frame of the mock-up. The table lists how often they succeed and how "
+        "soon."
     ),
     size=72,
     seed=1,

@@ -181,7 +181,8 @@ def differing(stored: Figures, new: Figures, counts: Mapping[str, str]) -> list[
 def table(figures: Figures) -> list[str]:
     """A row for each omission."""
     rows = [
-        "| left out | inadequate | among the first three | first | what came first instead |",
+        "| omitted effect | inadequate | among the first three suspects | as first suspect | other "
+        "first suspects |",
         "| --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -201,10 +202,11 @@ def listed(counts: Mapping[str, int]) -> str:
 SUSPECTS = Study(
     name="suspects",
     meaning=(
-        "Runs of the arm of fits/full_air.toml with 10 mm of noise, stated in every other one, "
-        "fitted by a model that leaves out one thing: how often the verdict is `inadequate`, and "
-        "how often what is left out, or what the data can hardly tell from it, is among the first "
-        "three suspects. A random walk has no right answer."
+        "Runs of the arm of `fits/full_air.toml` with noise of 10 mm, which is stated in every "
+        "second run, are fitted by a model that omits one effect. The table lists how often the "
+        "verdict is `inadequate`, and how often the omitted effect, or one that the data can "
+        "hardly distinguish from it, is among the first three suspects. A random walk does not "
+        "correspond to any suspect."
     ),
     size=6,
     seed=1,

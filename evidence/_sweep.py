@@ -243,7 +243,8 @@ def _is_as_serial(each: Figures) -> bool:
 def table(figures: Figures) -> list[str]:
     """A row for each kind of workers, and a sentence on speed."""
     rows = [
-        "| by | fits | killed | workers killed | lost | done twice | table of a serial run |",
+        "| workers | fits | command killed | workers killed | lost fits | fits computed twice | "
+        "same table as a serial sweep |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -254,7 +255,7 @@ def table(figures: Figures) -> list[str]:
                 f"{each['lost']} | {each['done_twice']} | {same} |"
             )
     words = _in_words(figures["speed"])
-    return [*rows, "", f"{words} That includes whatever else the machine computed meanwhile."]
+    return [*rows, "", f"{words} Other programs ran on the machine at the same time."]
 
 
 def run_speed(size: int, seed: int) -> Figures:
@@ -277,18 +278,18 @@ def speed_table(figures: Figures) -> list[str]:
 def _in_words(speed: Figures) -> str:
     return (
         f"Two workers take {speed['seconds_by_two']:.1f} s for {speed['fits']} fits, and one takes "
-        f"{speed['seconds_by_one']:.1f} s: {speed['times_faster']:.2f} times faster (median of "
-        f"{speed['rounds']} pairs, one after the other; {speed['least']:.2f} to "
-        f"{speed['most']:.2f})."
+        f"{speed['seconds_by_one']:.1f} s. The speed-up is {speed['times_faster']:.2f} (median of "
+        f"{speed['rounds']} successive pairs; range {speed['least']:.2f} to {speed['most']:.2f})."
     )
 
 
 SWEEP = Study(
     name="sweep",
     meaning=(
-        "Small fits by `giajax sweep`, two spawned processes or a cluster of dask.distributed with "
-        "two workers: the command is killed three times at random moments and given again, and a "
-        "worker is killed; whether each fit is there once, with the numbers of a serial sweep."
+        "Small fits are computed by `giajax sweep` with two spawned processes, or with a "
+        "dask.distributed cluster of two workers. The command is killed three times at random "
+        "moments and restarted, and one worker is killed. The table lists whether each fit occurs "
+        "exactly once, with the numbers of a serial sweep."
     ),
     size=2000,
     seed=1,
@@ -300,8 +301,8 @@ SWEEP = Study(
 SWEEP_SPEED = Study(
     name="sweep_speed",
     meaning=(
-        "How much faster two spawned workers do the fits of a sweep than one, on a machine of two "
-        "cores that does nothing else."
+        "The speed-up of a sweep with two spawned workers over one worker is measured on a "
+        "machine of two cores without other load."
     ),
     size=60,
     seed=1,

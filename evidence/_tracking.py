@@ -206,18 +206,18 @@ def table(figures: Figures) -> list[str]:
         "arm",
         "NEES per state",
         "within 95 %",
-        "tip, filter (m)",
-        "smoother",
-        "in time",
-        "wind across (m/s)",
-        "ms an event",
+        "tip error, filter, m",
+        "smoother, m",
+        "in real time, m",
+        "error of the wind across, m/s",
+        "time per event, ms",
         "adequate",
-        "delay 0.2 s wrong: called",
-        "no gusts: called",
+        "error of 0.2 s in the delay detected",
+        "omitted gusts detected",
     ]
     rows = [f"| {' | '.join(heads)} |", f"| {' | '.join(['---'] * len(heads))} |"]
     for number, arm in enumerate(figures["arms"]):
-        name = f"{number + 1}{', remembers' if arm['memory'] else ''}"
+        name = f"{number + 1}{', with memory' if arm['memory'] else ''}"
         late = arm.get("delay_found")
         called = _word(arm.get("delay_called"))
         cells = [
@@ -237,18 +237,20 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        "Stiffness is drawn with a deviation of 5 % and drag with 10 %, and considered so. Errors "
-        "of the tip are root mean squares over 130 s; 'in time' is what is known half a second "
-        "after the exposure. The wind is the mean over the links, from 120 s on.",
+        "Stiffness is drawn with a standard deviation of 5 % and drag with 10 %; the filter "
+        "assumes the same uncertainties. Errors of the tip are root mean squares over 130 s. The "
+        "real-time estimate is the prediction of the present state, half a second after the last "
+        "exposure. The wind is the mean over the links, from 120 s on.",
     ]
 
 
 TRACKING = Study(
     name="tracking",
     meaning=(
-        "What `giajax.track` knows of the paper's arm in full air, in a wind of 0.2 m/s with gusts "
-        "that nobody recorded, from a camera that sees the tip half a second late and an encoder "
-        "of the base joint; and whether it says so where a delay or the gusts are wrong."
+        "`giajax.track` estimates the state of the paper's arm in full air, in a wind of 0.2 m/s "
+        "with unrecorded gusts. The measurements are a camera that shows the tip half a second "
+        "late, and an encoder of the base joint. The last columns list whether the verdict "
+        "detects a wrong delay or omitted gusts."
     ),
     size=4,
     seed=1,

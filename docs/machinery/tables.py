@@ -106,7 +106,7 @@ def _old_forms() -> Iterator[str]:
 
 def _files(room: str) -> Iterator[str]:
     """A row for each file of a room, by the first sentence of its docstring."""
-    yield "| file | what it has |"
+    yield "| file | contents |"
     yield "| --- | --- |"
     folder = SOURCE / room
     for path in sorted(folder.rglob("*.py")):
