@@ -1,5 +1,8 @@
 """Programs kept between processes: traced once, and never in place of another program."""
 
+import collections
+import dataclasses
+import functools
 from pathlib import Path
 from typing import NamedTuple
 
@@ -66,8 +69,9 @@ def folder(tmp_path, monkeypatch):
 
 def in_a_process(spring, angle, *, function=pulled):
     """What a process that starts now computes, and whether it kept the program."""
-    call = CachedProgram(function, {}).ready((spring, angle))
-    return None if call is None else call(spring, angle)
+    given = (spring, angle), {}
+    call = CachedProgram(function, {}).ready(given)
+    return None if call is None else call(given)
 
 
 SPRING, ANGLE = Spring(np.array(2.0)), np.array([1.0, 2.0, 3.0])
@@ -175,7 +179,9 @@ def test_results_of_all_kinds_come_back(folder):
 
 
 def test_a_result_that_no_text_describes_is_not_kept(folder):
-    assert in_a_process(SPRING, ANGLE, function=not_described) is None
+    path, angle = in_a_process(SPRING, ANGLE, function=not_described)
+    assert path == Path("x")
+    assert_array_equal(angle, ANGLE)
     assert not folder.exists()
 
 
@@ -187,7 +193,9 @@ def test_the_tests_see_a_result_that_no_text_describes():
 @pytest.mark.parametrize(
     "text",
     [
-        {"class": ["os", "system"], "parts": ["true"]},
+        {"class": ["os", "system"], "parts": [{"value": "true"}]},
+        {"name": ["os", "system"]},
+        {"class": [__name__, "Spring"], "fields": {"stiffness": {"value": 1.0}}},
         {"class": ["subprocess", "Popen"], "parts": [{"value": "true"}]},
         {"class": ["pathlib", "Path"], "fields": {"x": {"value": 1}}},
         {"class": ["not_imported", "Spring"], "fields": {}},
@@ -201,12 +209,64 @@ def test_a_text_runs_nothing(text):
         restored(text)
 
 
+def raised(angle, power=2, *, factor):
+    TRACED.append(power)
+    return factor * angle**power
+
+
 def test_keywords_and_defaults_are_the_same_program(folder):
-    call = program(pulled)
-    call(SPRING, ANGLE)
-    _, force = call(SPRING, angle=ANGLE)
-    assert_array_equal(force, [2.0, 4.0, 6.0])
-    assert TRACED == [1]
+    calls = (
+        lambda call: call(ANGLE, factor=3.0),
+        lambda call: call(ANGLE, 2, factor=3.0),
+        lambda call: call(angle=ANGLE, power=2, factor=3.0),
+    )
+    for call in calls:
+        assert_array_equal(call(program(raised)), [3.0, 12.0, 27.0])
+    assert TRACED == [2]
+    assert_array_equal(program(raised)(ANGLE, factor=4.0), [4.0, 16.0, 36.0])
+    assert TRACED == [2, 2]
+
+
+@dataclasses.dataclass
+class NoTree:
+    factor: np.ndarray
+
+
+def times(factor, angle):
+    return factor * angle
+
+
+def scaled(scale, angle):
+    return scale(angle) if callable(scale) else scale.factor * angle
+
+
+def test_numbers_in_what_is_no_tree_are_a_part_of_the_program():
+    for kind in (NoTree, functools.partial(functools.partial, times)):
+        for factor in (2.0, 5.0):
+            assert_array_equal(program(scaled)(kind(np.array(factor)), ANGLE), factor * ANGLE)
+
+
+def cube(angle):
+    return angle**3
+
+
+def test_a_transformed_function_is_not_the_original():
+    assert program(cube)(np.array(3.0)) == 27.0
+    assert program(jax.grad(cube))(np.array(3.0)) == 27.0
+    assert program(jax.grad(cube))(np.array(2.0)) == 12.0
+
+
+def as_given(given, angle):
+    return given
+
+
+def test_a_mapping_that_has_an_order_keeps_it(folder):
+    given = collections.OrderedDict(b=ANGLE, a=2 * ANGLE)
+    for _ in range(2):
+        found = in_a_process(given, ANGLE, function=as_given)
+        assert_array_equal(found["b"], ANGLE)
+    # No text describes it.
+    assert not folder.exists()
 
 
 def test_a_function_within_another_is_not_kept(folder):

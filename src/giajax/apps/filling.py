@@ -499,7 +499,7 @@ def _strength(
         if before is not None and finished and before[0] != here:
             slope = min((late - before[1]) / (here - before[0]), -0.05)
         before = (here, late) if finished else None
-        new = here - min(max(late / slope, -1.5), 1.5)
+        new = here - min(max(late / (slope if finished else -1.0), -1.5), 1.5)
         here = new if low < new < high else (low + high) / 2
         if abs(here - begin.at) > _FAR or high - low < 1e-12:
             return None

@@ -72,6 +72,8 @@ def chain(begun: Begun, number: int, draws: int, warmup: int, seed: int) -> dict
     start, energy, gradient = (
         on_device(each, dtype) for each in (begun.start, begun.energy, begun.gradient)
     )
+    import numpyro.infer.hmc  # noqa: F401  # a program that was kept returns a class of it
+
     parts = []
     key = (begun.task_key, settings, length)
     with contextlib.ExitStack() as stack:
@@ -83,7 +85,7 @@ def chain(begun: Begun, number: int, draws: int, warmup: int, seed: int) -> dict
         if is_stopped():
             raise KeyboardInterrupt
         with _mixing_types():
-            state = _begin(density, start, energy, gradient, jax.random.key(seed), settings)
+            state = _begin(density, start, energy, gradient, jax.random.PRNGKey(seed), settings)
             state, found = _move(density, state, settings, length)
         _compiled.add(key)
     for at in range(total // length):
