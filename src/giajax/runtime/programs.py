@@ -190,10 +190,9 @@ class _Kept(_Description):
 
 def _is_found(function: FunctionType) -> bool:
     """Whether its module has it under its name; a transformed one has the name of the original."""
-    names = function.__qualname__.split(".")
-    found = functools.reduce(
-        lambda part, name: getattr(part, name, None), names, sys.modules.get(function.__module__)
-    )
+    found: Any = sys.modules.get(function.__module__)
+    for name in function.__qualname__.split("."):
+        found = getattr(found, name, None)
     return found is function or getattr(found, "__wrapped__", None) is function
 
 
