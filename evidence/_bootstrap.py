@@ -64,7 +64,7 @@ def table(figures: Figures) -> list[str]:
             f"| `{path}` | {one['spread']:.3f} +- {one['spread_error']:.3f} | "
             f"{one['bias']:+.3f} +- {one['bias_error']:.3f} | {100 * one['coverage']:.1f} % |"
         )
-    rows += ["", f"{figures['came_back']} of {figures['repetitions']} fits came back."]
+    rows += ["", f"{figures['came_back']} of {figures['repetitions']} fits converged."]
     return rows
 
 

@@ -97,7 +97,7 @@ def test_a_signal_writes_the_best_so_far(folder, plain, number, status):
     code, out, err = ended(running)
     assert (code, "Traceback" in err) == (status, False)
     assert "interrupted after" in out
-    assert "to go on with it: giajax fit --resume out" in out
+    assert "to continue it: giajax fit --resume out" in out
     result = load_result("out")
     assert (result.status, result.iterations) in [("interrupted", 5), ("interrupted", 6)]
     assert "fit.lock" not in os.listdir("out")
@@ -230,7 +230,7 @@ def test_again_and_from(folder, capsys):
     capsys.readouterr()
     assert main(["fit", "--resume", "out"]) == 0
     said = capsys.readouterr().out
-    assert said.startswith("the fit in out has ended, and there is nothing")
+    assert said.startswith("the fit in out has ended and cannot be continued")
 
 
 WRONG = {
@@ -240,7 +240,7 @@ WRONG = {
     "no unit": (["loops_fit.toml", "--budget", "10"], 'such as "90s", "10m" or "2h"'),
     "again and data": (["--again", "out", "--data", "loops.csv"], "leave out the others"),
     "again and resume": (["--again", "out", "--resume", "out"], "leave out the others"),
-    "a journal of words": (["--resume", "words"], "is damaged in line 1, or is no journal"),
+    "a journal of words": (["--resume", "words"], "is damaged in line 1, or is not a journal"),
 }
 
 

@@ -39,7 +39,7 @@ Examples:
 \b
 Notes on implausible units, signs, labels, lost cells, glitches and constants
 come first. They are judged by magnitude; no file is changed.
-Exit status: 0; 2 bad input or usage; 3 with --strict and an implausible value.""",
+Exit status: 0; 2 bad input or usage; 3 with --strict, if implausible.""",
     group="first",
     old_words="--data",
 )
@@ -165,8 +165,8 @@ Examples:
       --to run.csv          a table with known column names
 
 \b
-Then run giajax init --data run.csv, which writes a section for each camera, and
-giajax fit --data run.csv.""",
+Next: giajax init --data run.csv writes a section for each camera, and
+giajax fit --data run.csv fits the run.""",
     group="data",
     old={
         "--out": "--to",

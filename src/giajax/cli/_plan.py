@@ -52,10 +52,10 @@ Examples:
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
-states an arm. A pose is the equilibrium for the commanded angles; joints that
-are not named are at 0. Writes
+states an arm. A pose is the equilibrium for commanded angles; other joints
+are at 0. Writes
   command.csv, command.toml   the command for an operator
-  path.csv                    the expected path of the tip, with bands of a fit
+  path.csv                    the expected path of the tip, with bands
   plan.json, plan.png         the result, compared with a direct command
 The air is still, and the arm is initially at rest. The largest rate of the
 paper's arm is not published: 2 deg/s is an assumption.""",

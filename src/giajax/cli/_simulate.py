@@ -131,7 +131,7 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
         if channel.kind not in _MEASURED and channel.quantity != "pixel":
             raise InputError(
                 f"--channels {name!r} is not a channel of an arm: give link06, link06_z, "
-                " tip, joint03_angle, joint03_rate, joints or all, or of a camera side.tip"
+                "tip, joint03_angle, joint03_rate, joints or all, or of a camera side.tip"
             )
         if channel.kind != "mark_pixel" and (channel.index or 1) > count:
             part = "joint" if channel.kind.startswith("joint") else "link"
@@ -482,7 +482,7 @@ def synth(
     bursts: Annotated[float, "PERCENT", "Share of samples missing in bursts."] = 0.0,
     burst_duration: Annotated[float, "S", "Length of a burst (s)."] = 1.0,
     outliers: Annotated[float, "PERCENT", "Share of outliers."] = 0.0,
-    outlier_size: Annotated[Texts, "KEY=VALUE", "How far."] = None,
+    outlier_size: Annotated[Texts, "KEY=VALUE", "Distance of the outliers."] = None,
     seed: Annotated[int, "N", "Seed of all errors.", 0] = 0,
     digits: Digits = 9,
     force: Force = False,

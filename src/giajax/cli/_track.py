@@ -321,8 +321,9 @@ def _estimated(given: list[str] | None, source: Any) -> dict[str, float]:
         value = find(model, path).value(model)
         if value is None or value.size != 1 or not float(value):
             raise InputError(
-                f"--free {path}: it has several values, so a relative deviation is not defined; "
-                "give its standard deviation, --free {path}=SD"
+                f"--free {path}: it is not a single number other than 0, so a relative "
+                "deviation is not defined; "
+                f"give its standard deviation, --free {path}=SD"
             )
         found[path] = _SHARE * abs(float(value))
     return found

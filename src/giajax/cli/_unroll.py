@@ -37,7 +37,7 @@ Examples:
 
 \b
 It writes
-  unrolling.json          times when the arm is paid out, full, and lifts itself
+  unrolling.json          times when the arm is paid out, full and aloft
   unrolling.csv           length, speed, forces and energies over time
   unrolling.png           the same as a figure
   filling.*, inflation.toml

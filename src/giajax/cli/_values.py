@@ -47,7 +47,7 @@ def _by_path(
         try:
             value = read(text) if path and text else None
         except InputError as error:
-            raise InputError(f"{option} {pair!r} is not valid: {error}") from None
+            raise InputError(f"{option} {pair!r} is not valid, because {error}") from None
         if value is None:
             raise InputError(f"{option} {pair!r} must be {form}: write it like {example}")
         if path in known:

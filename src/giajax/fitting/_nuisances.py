@@ -92,8 +92,7 @@ def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
         about = absent.declaration
         if not about.lower < about.neutral < about.upper:
             raise InputError(
-                f"[uncertainty] names {path}, which is left out here, so that nothing is expected "
-                "of it: state its value, too"
+                f"[uncertainty] names {path}, which this model leaves out: state its value, too"
             )
         model = absent.set(model, about.neutral)
     if name in capabilities.scattering(model):

@@ -65,7 +65,7 @@ class Suspect:
         note: why it is not testable, or what a reader must know; may be empty.
         moves: by how many of their standard errors the step moves fitted parameters, by path; of
             parameters that are significant; nothing where it was tested where the fit began.
-        begun: whether it was tested with the values that the fit began with, because those where
+        begun: whether it was tested with the initial values of the fit, because those where
             it ended may have gone astray.
     """
 

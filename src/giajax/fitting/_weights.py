@@ -293,9 +293,9 @@ def checked_priors(priors: Mapping[str, Any]) -> dict[str, Prior]:
         try:
             checked[path] = prior if isinstance(prior, Prior) else Prior(**prior)
         except InputError as error:
-            raise InputError(f"the prior of '{path}' is not right, because {error}") from None
+            raise InputError(f"the prior of '{path}' is not valid, because {error}") from None
         except TypeError:
             raise InputError(
-                f"the prior of '{path}' is no prior: give giajax.Prior(value, deviation=...)"
+                f"the prior of '{path}' is not a prior: give giajax.Prior(value, deviation=...)"
             ) from None
     return checked

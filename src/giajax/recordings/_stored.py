@@ -152,5 +152,5 @@ def stored_result(path: str | Path) -> tuple[Path, dict[str, Any]]:
         raise InputError(f"{path} was written by another version of giajax: run the fit again")
     from_plain(_Result, record, what, remedy)
     if record.get("task"):
-        from_plain(StoredTask, record["task"], f"{path} has a damaged task", "fit its data anew")
+        from_plain(StoredTask, record["task"], f"{path} has a damaged task", "fit its data again")
     return path.parent, record

@@ -48,7 +48,8 @@ def from_text(text: str) -> Any:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{shown(text)} is no solver: write it as Python does, such as Kvaerno5(), with fields "
+            f"{shown(text)} is not a solver: write it as Python does, such as Kvaerno5(), with "
+            "fields "
             "that it has"
         ) from None
 

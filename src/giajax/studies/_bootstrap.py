@@ -435,8 +435,8 @@ def bootstrap(
         raise InputError(f"the seed is {seed}: give 0 or a positive number")
     if whole and result.config.get("priors"):
         raise InputError(
-            "a fit with priors cannot be repeated whole, because what they know is not drawn anew "
-            "there: leave whole (--whole) out, or fit without (--no-nuisances)"
+            "a fit with priors cannot be repeated whole, because the prior values are not drawn "
+            "again: leave whole (--whole) out, or fit without priors (--no-nuisances)"
         )
     optimum = fitted.optimum()
     common = {"method": method, "whole": whole, "seed": seed}
@@ -494,18 +494,20 @@ def _parameters(
 
 def _notes(result: FitResult, method: Method, *, whole: bool) -> tuple[str, ...]:
     """What the repetitions leave out."""
-    notes = ["each repetition begins where the fit ended, so that other optima are not looked for"]
+    notes = ["each repetition starts at the optimum of the fit, so other optima are not searched"]
     if not whole:
         notes.append(
-            "the noise is held as it was fitted, so that what its estimation adds is left out: "
-            "whole=True (--whole) repeats that, too"
+            "the noise is fixed at its fitted value, so the uncertainty from its estimation is "
+            "left out: whole=True (--whole) includes it"
         )
     if method == "parametric":
-        notes.append("the data are those of the fitted model and noise, which are taken for right")
+        notes.append(
+            "the data are simulated with the fitted model and noise, which are assumed correct"
+        )
         if not result.loss.is_linear:
             notes.append(
-                "noise is normal, and larger where a cell counts for little: such outliers as the "
-                "loss is robust against are made in no other cells"
+                "the noise is normal, and larger in cells with a low weight: other cells get no "
+                "outliers"
             )
     else:
         notes.append(

@@ -71,9 +71,12 @@ class LeftOut:
 
 @dataclasses.dataclass(frozen=True)
 class Influence(
-    StudyRecord, file="influence.json", head={"schema_version": 1}, remedy="ask for it again"
+    StudyRecord,
+    file="influence.json",
+    head={"schema_version": 1},
+    remedy="run giajax influence again",
 ):
-    """What each part of the data does to the parameters of a fit.
+    """Influence of each part of the data on the parameters of a fit.
 
     Attributes:
         parameters: standard error of each that the data determine, SI.
@@ -322,10 +325,13 @@ def _own(optimum: Optimum, part: Part) -> set[int]:
 
 
 def _notes(optimum: Optimum, *, exact: bool) -> tuple[str, ...]:
-    notes = ["the noise, and weights of outliers, are held as they were fitted"]
+    notes = ["the noise and the weights of outliers are fixed at their fitted values"]
     if not exact:
-        notes.append("all but single runs are left out to first order: exact=True (--exact) fits")
+        notes.append(
+            "parts other than single runs are left out to first order: exact=True (--exact) "
+            "fits without them"
+        )
     known = optimum.statistics
     if held := [known.labels[place] for place in known.bounds]:
-        notes.append(f"at a bound, where a step to first order holds it: {', '.join(held)}")
+        notes.append(f"at a bound, and fixed there in a first-order step: {', '.join(held)}")
     return tuple(notes)

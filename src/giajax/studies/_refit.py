@@ -216,7 +216,8 @@ class Fitted:
         """A result, which must have `converged` or not, and its runs, in their order."""
         if converged and result.status != "converged":
             raise InputError(
-                "the fit did not converge, and there is no optimum: fit it to its end first"
+                "the fit did not converge, so there is no optimum: continue the fit until it "
+                "converges"
             )
         bare = dataclasses.replace(
             result, predictions=(), held_predictions=(), seconds=Seconds(0.0, 0.0)
@@ -321,7 +322,7 @@ class StudyRecord:
     @classmethod
     def of_json(cls, text: str | bytes) -> Self:
         """The record that a text of `to_json` holds."""
-        what = f"this is no {cls.file} of this version of giajax"
+        what = f"this is not a file {cls.file} of this version of giajax"
         return parse_record(cls, text, cls.head, what, cls.remedy)
 
 

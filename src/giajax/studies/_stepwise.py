@@ -537,7 +537,7 @@ class Climb:
                 break
         self.passed += [fit for fit, _, _ in made if not (lower and fit is one[0])]
         if not lower:
-            self.ending = f"{one[0].step(noise).change} was tried, and makes BIC larger"
+            self.ending = f"{one[0].step(noise).change} was tried, and increases BIC"
             return True
         _, self.runs, self.apart = one
         self.take(one[0])

@@ -201,10 +201,10 @@ def test_the_usual_pad_bends_base_and_tip():
     ("message", "said"),
     [
         ({"type": "fly"}, "of the kind 'fly', which is none"),
-        ({"type": "pad", "axes": [], "buttons": []}, "the pad has no axes, and turns nothing"),
+        ({"type": "pad", "axes": [], "buttons": []}, "the pad has no axes"),
         ({"type": "pad", "axes": "x", "buttons": []}, "has no list of numbers 'axes'"),
         ({"type": "joint", "joint": 9, "deg": 1}, "a slider is of joint 9, and the arm has 3"),
-        ({"type": "joint", "joint": 1, "deg": float("nan")}, "which is no angle"),
+        ({"type": "joint", "joint": 1, "deg": float("nan")}, "which is not a valid angle"),
         ({"type": "preset", "name": "up and away"}, "there is no preset 'up and away'"),
     ],
 )

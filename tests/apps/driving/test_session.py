@@ -202,7 +202,7 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
         full.setattr("giajax.cli._drive.write_and_say", raises(InputError("no")))
         assert main([*words]) == 2
     kept = "drive-2-unfinished.csv"
-    assert f"giajax: no; what was kept of the drive is in {kept}\n" in capsys.readouterr().err
+    assert f"giajax: no; the recorded part of the drive is in {kept}\n" in capsys.readouterr().err
     assert len(read_run(kept).times) == len(run.times)
     assert main([*words]) == 0
     assert "wrote drive-3.csv" in capsys.readouterr().out

@@ -121,7 +121,7 @@ class Resting:
                 )
             if np.max(np.abs(row)) > _MOVES:
                 raise InputError(
-                    f"{name} of '{run.name}' is {np.rad2deg(row[0]):.1f} deg, and a mission begins "
+                    f"{name} of '{run.name}' is {np.rad2deg(row[0]):.1f} deg, but a mission starts "
                     "with the straight arm: record it at rest with all commands 0"
                 )
         assert run.times is not None
@@ -129,7 +129,7 @@ class Resting:
         if -times[0] < _SHORTEST:
             raise InputError(
                 f"'{run.name}' lasts {-times[0]:.1f} s: record the resting arm for at least "
-                f"{_SHORTEST:g} s, better for a minute"
+                f"{_SHORTEST:g} s, preferably for a minute"
             )
         late = times >= -_LONGEST
         times = times[late] - times[late][0]
@@ -149,8 +149,8 @@ class Resting:
             deviation = _noise(times[there], row[there]) if stated is None else stated
             if deviation is None:
                 raise InputError(
-                    f"{name} of '{run.name}' is recorded too seldom to tell its noise from the "
-                    "motion: state it in [noise] of its sidecar"
+                    f"{name} of '{run.name}' is recorded too seldom to separate noise and motion: "
+                    "state its noise in [noise] of its sidecar"
                 )
             noise[column] = deviation / np.sqrt(np.mean(many[many > 0]))
         found = cls(names, bins, noise)
@@ -328,8 +328,8 @@ def certificate(
     sound = np.all(np.isfinite(features), axis=1)
     if np.sum(sound) < FEWEST_CASES:
         raise InputError(
-            f"{np.sum(sound)} of {len(rested)} missions could be followed at rest: a chance takes "
-            f"{FEWEST_CASES}, so fly more"
+            f"{np.sum(sound)} of {len(rested)} missions could be followed at rest: a probability "
+            f"needs {FEWEST_CASES}: raise --cases"
         )
     features = features[sound]
     cases = tuple(each.case for each, used in zip(rested, sound, strict=True) if used)

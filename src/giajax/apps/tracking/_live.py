@@ -213,8 +213,8 @@ def _tracker_of(
     """The tracker of a run that begins with these rows, and what is unknown to it."""
     if first.winds:
         raise InputError(
-            f"'{first.name}' has columns of a wind, which is not known before it blows: leave "
-            "them out, or track the run once it has ended"
+            f"'{first.name}' has columns of a wind, which is not known in advance: leave them out, "
+            "or track the run after it has ended"
         )
     assert first.times is not None
     source, given = known_of(first)

@@ -107,7 +107,7 @@ def noise_table(result: FitResult) -> Table:
 
 def held_out_table(result: FitResult) -> Table:
     """What was held out, and how far off its prediction is."""
-    return _errors(result.held_out, "times what it may be off", lambda c: _number(c.size, "-"))
+    return _errors(result.held_out, "error over expected error", lambda c: _number(c.size, "-"))
 
 
 def validation_table(result: FitResult) -> Table:
