@@ -172,7 +172,7 @@ def test_a_file_is_known_by_its_content(tmp_path, name):
 @pytest.mark.parametrize(
     ("text", "settings", "says"),
     [
-        (TRACKER, {}, "Tracker does not state the unit of its coordinates: give --unit m, cm or mm"),
+        (TRACKER, {}, "Tracker does not state the unit of its coordinates: give --unit m, cm"),
         (TRACKER.replace("4.000000E-2", "no"), {"unit": "m"}, "column 't' has 'no' in row 5"),
         (TRACKER.replace("\ttip of it", "\telbow"), {"unit": "m"}, "two points that are called"),
         (TRACKER.replace("\t2.000000E-1", ""), {"unit": "m"}, "row 5 has 4 cells"),
@@ -198,7 +198,7 @@ def test_a_file_is_known_by_its_content(tmp_path, name):
         (SLEAP, {"frame_rate": 1.0, "rename": {"tip": "x"}}, "--rename changes nothing in this"),
         (DEEPLABCUT, {"frame_rate": 1.0, "unit": "mm"}, "--unit changes nothing in this table of"),
         (DEEP, {"frame_rate": 1.0, "origin": (0, 9)}, "--origin changes nothing in this table of"),
-        (DEEP, {"frame_rate": 1.0}, "does not state the unit of its coordinates: give --unit m, cm"),
+        (DEEP, {"frame_rate": 1.0}, "does not state the unit of its coordinates: give --unit"),
         (KINOVEA, {"unit": "m", "origin": (0, 9)}, "--unit changes nothing in this table of"),
         (TRACKER, {"unit": "m", "time_unit": "ms"}, "--time-unit changes nothing in this table of"),
         (TRACKER, {"unit": "m", "likelihood": 0.9}, "--likelihood changes nothing in this table"),

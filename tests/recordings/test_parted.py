@@ -134,10 +134,10 @@ def without_end():
         (
             [swing()],
             ["joint03_angle"],
-            ["no run and no channel", "(swing)", "joint02_rate", "last"],
+            ["neither a run nor a channel", "(swing)", "joint02_rate", "last"],
         ),
-        ([swing()], ["joint01_angle_deg"], ["no run and no channel"]),
-        ([swing()], [""], ["no run and no channel"]),
+        ([swing()], ["joint01_angle_deg"], ["neither a run nor a channel"]),
+        ([swing()], [""], ["neither a run nor a channel"]),
         (
             [swing("joint01_angle"), swing()],
             ["joint01_angle"],
