@@ -66,8 +66,8 @@ def read_mjcf(
         parameters: values by path, SI, as of `giajax.chain`, on top of those of the file.
 
     Raises:
-        InputError: MuJoCo is not installed or cannot read the file; a tree; a joint that is no
-            hinge or lies off the line of the others; a link that nothing says the size of.
+        InputError: MuJoCo is not installed or cannot read the file; a tree; a joint that is not
+            a hinge or lies off the line of the others; a link that nothing says the size of.
     """
     mujoco = _mujoco()
     read_text(Path(path), RESULT_BYTES, "XML", "an MJCF or URDF file")

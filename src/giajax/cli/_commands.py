@@ -304,7 +304,7 @@ class Translation:
             self.notes = []
 
     def _argument(self, word: str, words: list[str]) -> None:
-        """Take a word that is no option, which may be one too many as it always was."""
+        """Take a word that is not an option, which may be one too many as it always was."""
         option = self._registered.old_words
         self._places -= 1
         if self._places >= 0 or not option:
@@ -471,7 +471,7 @@ def run(command: Any, arguments: list[str]) -> int:
 
     The exit status is 0, or that of the command's `typer.Exit(status)`; 2 for bad input or usage;
     4 for what else goes wrong, whose traceback is in a file, or where standard output cannot be
-    written; 129, 130 or 143 by a signal; 141 where nobody reads standard output to its end.
+    written; 129, 130 or 143 by a signal; 141 if standard output is closed before its end.
     """
     out, err = Output(sys.stdout), Output(sys.stderr)
     with contextlib.redirect_stdout(cast(Any, out)), contextlib.redirect_stderr(cast(Any, err)):
@@ -660,7 +660,7 @@ def say_progress(quiet: bool) -> Callable[[str], None] | None:
 
 
 def say_served(page: Any, whoever: str, end: str, *, browser: bool, quiet: bool) -> None:
-    """Say where a page is, what somebody else could do with its address, and how it ends."""
+    """Say where a page is, what others can do with its address, and how it ends."""
     from ..apps.viewer import open_in_browser
 
     if not quiet:

@@ -101,7 +101,7 @@ def replay_table(
     *,
     quiet: bool,
 ) -> None:
-    """Drive by a table; says how far it is, where somebody watches."""
+    """Drive by a table; says how far it is, if the output is shown."""
     from ..apps.driving import replay
 
     watched, said, kept = sys.stderr.isatty() and not quiet, -1, time.monotonic()

@@ -64,7 +64,7 @@ _LEAST = 2  # steps that must have been timed: the first one compiles
 class TimeLeft:
     """Says now and then how long a fit of at most so many trial steps may still take.
 
-    Nobody knows how many steps are left until an optimum: what is said is how long it takes at
+    The number of steps to an optimum is not known: what is said is how long it takes at
     most, or with several starts, how long at the pace of those before.
     """
 

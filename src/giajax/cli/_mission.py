@@ -351,7 +351,7 @@ def _check_all_flown(done: int, whole: int) -> None:
 
 
 def _progress() -> Callable[[int, int], None] | None:
-    """Says how many were flown, where somebody watches."""
+    """Says how many were flown, if the output is shown."""
 
     def say(done: int, whole: int) -> None:
         end = "\n" if done == whole else ""

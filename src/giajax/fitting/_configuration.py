@@ -269,7 +269,7 @@ class Setup:
 
     @functools.cached_property
     def chooses_tolerance(self) -> bool:
-        """Whether the fit chooses the tolerance of an integrator, where nobody states it."""
+        """Whether the fit chooses the tolerance of an integrator, where it is not stated."""
         integration = capabilities.integration(self.model)
         # 32-bit rounding hides what a finer tolerance changes.
         if integration is None or jnp.result_type(float) == jnp.float32:

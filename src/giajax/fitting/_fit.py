@@ -301,7 +301,7 @@ def solve(
         progress, check: as of `fit`.
         budget: wall time that this and other fits may take together; by default that of the
             settings, for this one alone.
-        journal: what the fit keeps while it runs, and goes on from where it holds something.
+        journal: what the fit keeps while it runs, and continues from where it holds something.
 
     Raises:
         InputError: the model cannot be evaluated at the start, or the journal is of another fit.

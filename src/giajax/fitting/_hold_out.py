@@ -321,7 +321,7 @@ class PredictedChannel:
     def without_outliers(self) -> "PredictedChannel":
         """The cells that no loss which lets outliers stand would leave alone.
 
-        Held cells among which many are off are no outliers, but a prediction that fails.
+        Held cells among which many are off are not outliers, but a prediction that fails.
         """
         size = np.abs(self.series.residual)
         usual = np.full(len(size), self.series.adopted)

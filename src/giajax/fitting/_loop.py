@@ -108,7 +108,7 @@ def near_optimum(state: FitState) -> bool:
 
 
 def refused_near_optimum(state: FitState) -> bool:
-    """Whether steps within a standard error are refused, so that derivatives are no slopes."""
+    """Whether steps within a standard error are refused, so that derivatives are not slopes."""
     near = np.sqrt(2 * state.predicted_decrease()) <= _LINEAR * state.residual_scale()
     # Beyond a wall they are refused, too.
     refused = _rejected_in_a_row(state.history[state.round_began :])
@@ -224,8 +224,9 @@ def descend(
         max_iterations: trial steps before the fit gives up.
         progress: called after each trial step.
         budget: ends the fit before a step that it has no time for.
-        keep: called with each state on the way. Whoever goes on from one of them reaches the
-            same end. What only ends the fit early (iterations, budget, Ctrl-C) is no part of them.
+        keep: called with each state on the way. Whoever continues from one of them reaches the
+            same end. What only ends the fit early (iterations, budget, Ctrl-C) is not a part of
+            them.
         advance: gives the state after another one.
 
     Raises:

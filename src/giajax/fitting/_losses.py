@@ -273,7 +273,7 @@ def loss_of(said: str | Mapping[str, Any]) -> AbstractLoss:
     """The loss that settings or a result state: a name, or a table of that and of parameters.
 
     Raises:
-        InputError: there is none of the name, or it has no such parameters.
+        InputError: there is no such name, or it has no such parameters.
 
     Example:
         >>> from giajax.fitting import loss_of

@@ -32,8 +32,8 @@ def with_nuisances(
     and the others follow it. What the settings say anything of is theirs.
 
     Raises:
-        InputError: `[uncertainty]` names what is no parameter or has another number of values, or
-            the runs contradict each other in it.
+        InputError: `[uncertainty]` names what is not a parameter or has another number of values,
+            or the runs contradict each other in it.
     """
     if not settings.nuisances:
         return settings, ()

@@ -113,9 +113,9 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
     the bag.
 
     Raises:
-        InputError: it is no bag, or has none of these messages, or `rosbags` is not installed; or
-            messages of a thing that is not ignored have no stamps, equal ones, or another clock; or
-            it is damaged, or has or unpacks to more than the limits.
+        InputError: it is not a bag, or has none of these messages, or `rosbags` is not installed;
+            or messages of a thing that is not ignored have no stamps, equal ones, or another
+            clock; or it is damaged, or has or unpacks to more than the limits.
     """
     check_path(path)
     try:

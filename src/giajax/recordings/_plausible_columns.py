@@ -39,7 +39,7 @@ class Oddity:
             "command", "lost cells", "glitches", "wrap", "take", "time", "start", "constants" or
             "noise".
         sentence: what is seen and where, and what it is likely to be.
-        remedy: an edit or an option that mends it, if that is what it is.
+        remedy: an edit or an option that corrects it, if that is what it is.
         channels: where it is seen, by name.
         rows: first samples where it is seen, as a person counts them; at most ten.
     """

@@ -238,7 +238,7 @@ def read_runs(
     rename: Mapping[str, str] | None = None,
     beside: Sequence[Run] = (),
 ) -> list[Run]:
-    """Read the runs of a fit, with the channels and the windows that its definition asks for.
+    """Read the runs of a fit, with the channels and the windows that its definition requests.
 
     It is about those `beside`, too: those that are fitted, of a validation.
 

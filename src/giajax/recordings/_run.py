@@ -458,7 +458,7 @@ def build_run(
     sha256: str | None = None,
     partial: bool = False,
 ) -> Run:
-    """Decide the model, check the content (`InputError`: it is no run), freeze the arrays.
+    """Decide the model, check the content (`InputError`: it is not a run), freeze the arrays.
 
     `partial`: of a run that goes on, which may have one sample, and channels without a value yet.
     """

@@ -142,8 +142,8 @@ def plot(result: FitResult, run: Run | None = None) -> Figure:
     where the result was loaded.
 
     Raises:
-        InputError: as `giajax.predict`; the run is none of the fitted ones; or none is given, and
-            there are several or it has no file.
+        InputError: as `giajax.predict`; the run is not one of the fitted ones; or none is given,
+            and there are several or it has no file.
 
     Example:
         >>> result.plot().savefig("fit.png")  # doctest: +SKIP

@@ -269,7 +269,7 @@ def contrast_tables(found: Contrast) -> tuple[tuple[list[str], Rows], tuple[list
 
 
 def contrast_json(found: Contrast) -> str:
-    """The same as JSON, in all digits."""
+    """The same as JSON, at full precision."""
 
     def facts(one: Estimate | None) -> dict[str, Any] | None:
         if one is None:

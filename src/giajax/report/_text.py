@@ -28,7 +28,7 @@ PAGE = "report.html"
 SIGNATURE = "giajax fit"
 
 MOST_RUNS = 6
-"""How many are drawn: a picture takes a second, and nobody looks at twenty of them."""
+"""How many are drawn: a picture takes a second, and twenty are too many to look at."""
 
 
 def worth_drawing(result: FitResult) -> list[int]:

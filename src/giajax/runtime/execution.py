@@ -263,7 +263,7 @@ class Processes(Executor):
 
 @contextlib.contextmanager
 def open_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
-    """The executor of `run_tasks` that `--workers` and `--scheduler` ask for, until the block ends.
+    """The executor of `run_tasks` that `--workers` and `--scheduler` request, until the block ends.
 
     So many processes of this machine (None or 1: this one), or a cluster of dask.distributed at
     `tcp://host:8786`, whose workers have this version of giajax and see the same files.

@@ -214,7 +214,7 @@ def sources_of(tree: Any) -> dict[str, str]:
 
 
 def check_sources(versions: Mapping[str, str], said: str = "") -> None:
-    """Refuse to go on from what was made with other files than those of the registered classes.
+    """Refuse to continue from what was made with other files than those of the registered classes.
 
     They are others of the same name, or others of the classes that `said` names.
 

@@ -174,7 +174,7 @@ def configure() -> None:
 
 
 def is_private(folder: Path) -> bool:
-    """Whether nobody else can write into a folder, or it is not there."""
+    """Whether no other account can write into a folder, or it is not there."""
     if not hasattr(os, "geteuid"):
         return True
     try:
@@ -252,7 +252,7 @@ def cores() -> int:
     """On how many cores to compute: those that this process may use, or as many as so told.
 
     Raises:
-        InputError: the environment variable is no positive number.
+        InputError: the environment variable is not a positive number.
     """
     import jax
 
@@ -328,7 +328,7 @@ _limit: Any = None
 
 @contextlib.contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """BLAS computes in the thread that calls it, until the last of those who ask for it is done."""
+    """BLAS computes in the thread that calls it, until the last of those who request it is done."""
     global _users, _limit
     with _lock:
         if not _users:

@@ -115,7 +115,7 @@ class _Description:
 
     @abc.abstractmethod
     def other(self, value: Any) -> Iterator[str]:
-        """Of what is none of these."""
+        """Of anything else."""
 
 
 def _is_ours(value: Any) -> bool:
@@ -296,7 +296,7 @@ def forget_programs_if_many(most: int = _MOST_MAPS) -> None:
 def cache_programs(folder: Path) -> None:
     """From now on, keep programs in a folder, and use those that are there.
 
-    To be called by a process that nobody changes while it runs: what a test or a notebook patches
+    To be called by a process that is not changed while it runs: what a test or a notebook patches
     is not seen in the source, and must not be kept.
     """
     global _folder
@@ -538,7 +538,7 @@ def program(function: Function) -> Function:
     between processes, and are not traced again.
 
     Arguments:
-        function: a pure function of pytrees; what is no array is static.
+        function: a pure function of pytrees; what is not an array is static.
     """
     part = eqx.filter_jit(function)
     whole: Callable[..., Any] | None = None

@@ -17,7 +17,7 @@ def as_text(given: Any) -> Any:
     """A solver or controller as files state it; what is no such object as it is.
 
     Raises:
-        InputError: its class is neither of diffrax nor registered, or a field is no number.
+        InputError: its class is neither of diffrax nor registered, or a field is not a number.
     """
     if not dataclasses.is_dataclass(given):
         return given

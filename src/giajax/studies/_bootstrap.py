@@ -39,7 +39,7 @@ class Repeated:
         percentile: from the 2.5th to the 97.5th percentile of the repetitions.
         basic: the same, mirrored at the value: what the value may have come from.
         covered: of how many repetitions the 95 % interval holds the value that made their data;
-            None where that is no truth (blocks), or of what has no interval.
+            None where that is not the truth (blocks), or of what has no interval.
         asked: how many have an interval.
         coverage: `covered` over `asked`.
         coverage_interval: where the coverage is by 95 % (Clopper and Pearson 1934).
@@ -403,7 +403,7 @@ def bootstrap(
     - **block**: with blocks of the residuals in place of that noise. They have the memory and the
       sizes that the residuals really have; the intervals of the result are not judged.
 
-    What priors know is drawn anew, too, as one more measurement.
+    What priors know is drawn again, too, as one more measurement.
 
     Each repetition begins where the fit ended, and so cannot tell whether others start to end
     elsewhere (`giajax.multi_start` does). Its noise is held as fitted, weights of outliers too,

@@ -132,7 +132,7 @@ def inquiry(
         model: the fitted model.
         free: paths of the parameters that were fitted.
         each: paths of arrays whose elements are asked for one by one, and together, in place of
-            all in proportion. An InputError where one is no array of this model.
+            all in proportion. An InputError where one is not an array of this model.
         ties: expressions by the paths of what follows from them.
         without: paths of what is not to be switched on, and why.
         beside: paths of arrays whose elements are asked for one by one, beside all in proportion.

@@ -1,4 +1,4 @@
-"""What runs need beyond a model: it grows until its residuals ask for nothing, with a journal."""
+"""What runs need beyond a model: it grows until its residuals suggest nothing, with a journal."""
 
 import dataclasses
 import functools
@@ -99,7 +99,7 @@ class Kept(AbstractFits):
 
     The journal has a line for each thing that was computed, in order; where it holds what is asked
     for next, that is taken. The same steps follow, because each depends on those before alone. One
-    with another head is of something else, and begins anew; `asked` may differ, and is that of the
+    with another head is of something else, and begins again; `asked` may differ, and is that of the
     journal where it is None.
     """
 
@@ -261,20 +261,20 @@ def explain(
     folder: str | Path | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Explained:
-    """Grow the model of a fit until its residuals ask for nothing that it could have.
+    """Grow the model of a fit until its residuals suggest nothing more that it could have.
 
     Step by step as `giajax.ladder`: parameters that were held or left out are freed, choices of the
     model and of recorded axes are made the other way, and what later steps make superfluous is
     taken out again. Beyond that,
 
     - where outliers are seen, residuals count by Huber's loss from the first step on;
-    - suspects that the data can hardly tell apart are one try, and each of them is fitted;
+    - suspects that the data can hardly distinguish are one try, and each of them is fitted;
     - where a model says that one part is to be believed rather than another (the memory of a joint
       rather than friction by rate), that one is taken if it fits nearly as well;
     - a nuisance that the data move far from what is usual is tried without its prior;
     - without validation or `held_out` the last fifth of each run is kept from all steps, to judge
       them by, where that leaves a part of each to fit. The final model is fitted to all of it, with
-      the noise that the first one looked for, and where that asks for more, steps go on so.
+      the noise that the first one looked for, and where that suggests more, steps go on so.
 
     The errors of the final fit are conditional on its model, which these data selected. What the
     models that fit nearly as well (`NEARNESS`) say otherwise is added as the `selection_error`.
@@ -644,7 +644,7 @@ def _file(run: Run) -> str | None:
 
 
 def _written(runs: Sequence[Run], folder: Path) -> list[Run]:
-    """The runs, each read from a file of its own in a folder that nobody else writes to."""
+    """The runs, each read from a file of its own in a folder that no other process writes to."""
     make_folder(folder)
     read = []
     for run, name in zip(runs, unique_names(runs), strict=True):

@@ -59,7 +59,7 @@ class LeftOut:
         """The largest shift over that to expect; None where nothing is to be expected.
 
         Of a right model, a part moves an estimate by a random amount, whose variance is that
-        without the part less that with it (Hausman 1978): beyond 3 it is no chance.
+        without the part less that with it (Hausman 1978): beyond 3 it is not by chance.
         """
         ratios = []
         for path, shift in self.shifts.items():
@@ -213,7 +213,7 @@ def influence(
 
     with the derivatives X and residuals r (predicted less recorded) of the cells that are left, and
     V the covariance of their noise: of correlated noise it is not a part of the inverse of the
-    whole, and so it is inverted anew. That is exact for a linear model. Of a robust loss, psi
+    whole, and so it is inverted again. That is exact for a linear model. Of a robust loss, psi
     and psi' stand for residual and derivative. Noise, and weights of outliers, stay as they are.
 
     Single runs are left out by fits, if there are several; all other parts by steps alone, unless

@@ -108,7 +108,7 @@ def _is_same(result: FitResult, one: Start, other: Start) -> bool:
 
 
 STARTS = 8
-"""Starts of `multi_start`, where nobody says how many."""
+"""Starts of `multi_start`, by default."""
 
 
 @keywords_listed(FIT_DEFAULTS | {"starts": STARTS})

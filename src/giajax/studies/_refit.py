@@ -73,7 +73,7 @@ def _begun_as(result: FitResult, run: Run, record: RunFit) -> Run:
 
 
 def optimum_of(result: FitResult, runs: Sequence[Run]) -> Optimum:
-    """Where a fit of runs, in their order, ended: to be asked again without compiling anew."""
+    """Where a fit of runs, in their order, ended: to be asked again without compiling again."""
     settings, model = FitSettings.shared_with(result.config), result.model
     values = end_values(result)
     start = {
@@ -246,7 +246,7 @@ class Fitted:
         return run_tasks(tasks, **how)
 
     def optimum(self) -> Optimum:
-        """Where the fit ended, evaluated once a process, however many tasks ask for it."""
+        """Where the fit ended, evaluated once a process, however many tasks request it."""
         return prepared(("optimum", self.task_key), lambda: optimum_of(self.result, self.runs))
 
 

@@ -369,7 +369,7 @@ def suspects(
     each: Sequence[str] = (),
     parameters_alone: bool = False,
 ) -> Suspects:
-    """What the residuals of a fit ask for.
+    """What the residuals of a fit suggest.
 
     At the end of a fit everything that it held, switched off or left out gets a test: how much
     chi-square would fall if it were free, and to which value one step leads. Nothing is fitted.
@@ -391,7 +391,7 @@ def suspects(
     of what it leaves, all of it is asked where the fit began, too, and the rows are those of where
     chance explains the surest one less (`Suspect.begun`).
 
-    Missing physics is no noise, so the table is in the order of the drop of chi-square (less what
+    Missing physics is not noise, so the table is in the order of the drop of chi-square (less what
     as many random columns would take from residuals of this size), with the white noise that the
     runs state, or else that of second differences of the residuals. The p-values are those of the
     noise that is left after the step, which may be larger and correlated along time (AR(1) in the

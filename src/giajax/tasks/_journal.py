@@ -197,7 +197,7 @@ def locked(folder: Path) -> Iterator[None]:
     """Hold a folder, which is made where it is missing and removed again where it stays empty.
 
     The system gives the lock back when the process ends, however it does; the file that a killed
-    process leaves is no lock, and is taken over.
+    process leaves is not a lock, and is taken over.
     """
     check_output_folder(folder)
     made = [path for path in (folder, *folder.parents) if not path.exists()]

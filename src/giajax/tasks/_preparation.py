@@ -44,7 +44,7 @@ from ._stored import check_config
 
 
 def warn(sentence: str) -> None:
-    """What becomes of complaints where nobody says otherwise: warnings of Python."""
+    """What becomes of complaints by default: warnings of Python."""
     warnings.warn(sentence, stacklevel=2)
 
 
@@ -99,7 +99,7 @@ class Preparation:
     ) -> Iterator[Journal]:
         """The journal of this fit in a folder, which no other fit may write to meanwhile.
 
-        To resume goes on where it ends; force begins anew over that of a fit that was cut off. A
+        To resume goes on where it ends; force begins again over that of a fit that was cut off. A
         sentence is complained where a line cannot be written.
 
         Raises:

@@ -326,5 +326,5 @@ def _dismiss(connection: "ServerConnection") -> None:
 
 
 def _whole(digits: str) -> int | float:
-    """An integer of a message; those of a thousand digits are no joint and no angle."""
+    """An integer of a message; those of a thousand digits are neither a joint nor an angle."""
     return int(digits) if len(digits) < 16 else float(digits)

@@ -96,7 +96,7 @@ class Resting:
 
         Raises:
             InputError: nothing was measured, a channel that the model of the arm does not show
-                without integrating it, no commands, commands that are no angles, move or are not
+                without integrating it, no commands, commands that are not angles, move or are not
                 those of the straight arm, less than half a minute, a channel that was recorded too
                 seldom, or no noise that is stated or can be told from the motion.
         """
@@ -285,8 +285,8 @@ class Certificate:
         interval: 95 % confidence interval of the chance from the number of missions; the error of
             the logistic model is not in it.
         near: the tenth of all missions whose rests were nearest to the recording.
-        unlike: whether the recording is none of the drawn rests, by Hotelling's test at 0.1 % for
-            normal logarithms.
+        unlike: whether the recording is not one of the drawn rests, by Hotelling's test at 0.1 %
+            for normal logarithms.
         cases: all that were flown.
         chances: of each of those, by what its own rest shows.
     """

@@ -15,7 +15,7 @@ from ...runtime.text import InputError
 
 
 def number(default: float) -> Any:
-    """A field that a program takes as an argument, so that another value is no other program."""
+    """A field that a program takes as an argument, so that another value is the same program."""
     return eqx.field(converter=lambda x: jnp.asarray(x, jnp.result_type(float)), default=default)
 
 

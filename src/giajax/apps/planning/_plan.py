@@ -221,7 +221,7 @@ def plan_command(
 
 
 def _clear_at_ends(arm: Arm, rests: Sequence[Rest], limits: CommandLimits) -> None:
-    """Refuse a beginning or an end that is too near an obstacle: no way could mend it."""
+    """Refuse a beginning or an end that is too near an obstacle: no path can correct it."""
     assert arm.contact is not None
     things = arm.contact.obstacles
     for rest, where in ((rests[0], "begins"), (rests[-1], "ends")):

@@ -53,7 +53,7 @@ Looked = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def kept_last(look: Looked) -> Looked:
-    """A function of unknowns that keeps its last values and slopes: optimisers ask for each."""
+    """A function of unknowns that keeps its last values and slopes: optimisers request each."""
 
     @functools.lru_cache(maxsize=1)
     def known(raw: bytes) -> tuple[np.ndarray, np.ndarray]:

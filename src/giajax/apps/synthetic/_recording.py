@@ -29,7 +29,7 @@ class RecordingErrors:
     """What goes wrong between a motion and its file.
 
     Standard deviations and sizes are SI, by quantity (`position`, `angle`, `rate`) or by channel.
-    A turned, shifted or late camera is no error of this kind: it is a parameter of the model.
+    A turned, shifted or late camera is not an error of this kind: it is a parameter of the model.
 
     Attributes:
         white: standard deviation of noise that each sample has by itself.

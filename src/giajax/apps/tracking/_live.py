@@ -78,7 +78,7 @@ _BEFORE = 2  # rows, beside which the next one is checked
 class LiveRows:
     """Rows of a CSV file whose lines come one after the other; the first names the columns.
 
-    A line that is no row that may follow those before it is left out with a warning.
+    A line that is not a row that may follow those before it is left out with a warning.
 
     Arguments:
         lines: of the file, in their order.

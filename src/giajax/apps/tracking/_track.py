@@ -240,7 +240,7 @@ def model_and_unknown(
     """The arm of a run and what is unknown of it: of a fit, as it is for that run, and its errors.
 
     Raises:
-        InputError: it is no arm.
+        InputError: it is not an arm.
     """
     unknown = with_errors_of(model, Unknown() if unknown is None else unknown)
     return arm_model_of(model.model_of(run) if isinstance(model, FitResult) else model), unknown
@@ -313,7 +313,7 @@ class Plan:
     width: int
 
     def held(self, begin: np.ndarray, end: np.ndarray) -> Held:
-        """What is known of intervals; a jump at their end is none of them."""
+        """What is known of intervals; a jump at their end is not one of them."""
         length = end - begin
         last = end - 1e-9 * np.maximum(length, 1e-3)
         edges = np.stack([begin, last], axis=-1)
@@ -835,7 +835,8 @@ def moving(times: np.ndarray, values: np.ndarray, noise: np.ndarray) -> np.ndarr
     """Whether a channel has moved by more than its noise lately, at each time.
 
     Where none has, a parameter shows by products of errors only, which a linearised filter takes
-    for more than they are. The middle one of three values counts, so that an outlier is no motion.
+    for more than they are. The middle one of three values counts, so that an outlier is not taken
+    for motion.
 
     Arguments:
         times: s, in their order, shape (event,).

@@ -113,7 +113,7 @@ class Gate:
         host, port: where to listen; 0 for a free one.
 
     Raises:
-        InputError: the port is in use, or the host is none of this machine.
+        InputError: the port is in use, or the host is not one of this machine.
     """
 
     def __init__(self, sockets: Mapping[str, Path], *, host: str = LOOPBACK, port: int = 0) -> None:
@@ -146,7 +146,7 @@ class Gate:
         return self.host not in (LOOPBACK, "localhost", "::1")
 
     def close(self) -> None:
-        """Let nobody in any more."""
+        """Accept no connection any more."""
         if self._loop.is_running():
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join(timeout=5)
