@@ -49,7 +49,7 @@ def test_there_may_be_none(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert main(["cache"]) == 0
-    assert "nothing is kept" in capsys.readouterr().out
+    assert "no programs are kept" in capsys.readouterr().out
 
 
 CONFIGURE = (

@@ -193,7 +193,7 @@ def test_reasons_are_those_of_the_rows():
         inside: np.ndarray
 
     none, some = np.zeros(5), np.array([0, 2, 4, 0, 0])
-    assert "followed" in _reason(Seen(none, none), False, 1.0)
+    assert "simulation of its motion failed" in _reason(Seen(none, none), False, 1.0)
     assert "never came" in _reason(Seen(none, none), True, 1.0)
     assert "did not stay" in _reason(Seen(some, some), True, 0.1)
     assert "did not reach the opening" in _reason(Seen(some, none), True, 2.0)
