@@ -123,7 +123,7 @@ def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
         "is 85 deg in sample 3, beyond the reachable range from",
     )
     refused(capsys, ["compensate", "--loop", loops, "--target", far, *out], "beyond the reachable")
-    refused(capsys, ["compensate", "--target", good, *out], "give a fit, or --loop")
+    refused(capsys, ["compensate", "--target", good, *out], "give either a fit, or --loop")
     refused(
         capsys,
         [*model, "--travel", "3", "--target", good, *out],

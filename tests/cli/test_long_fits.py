@@ -221,7 +221,7 @@ def test_again_and_from(folder, capsys):
     assert main([*FIT]) == 0
     first = numbers("out")
     assert main(["fit", "--again", "out/result.json", "--no-figures"]) == 0
-    assert "the numbers are the same, bit for bit" in capsys.readouterr().out
+    assert "all numbers are identical, bit for bit" in capsys.readouterr().out
     assert numbers("out-again") == first
     assert main([*FIT[:-1], "on", "--from", "out", "--free", "elastic"]) == 0
     assert load_result("on").parameters["weights"].value == [

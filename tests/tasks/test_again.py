@@ -52,7 +52,7 @@ def test_the_same_fit_again_has_the_same_numbers(path):
     assert after.pop("task")["inputs"] == before.pop("task")["inputs"]
     assert after == before
     stored = stored_result("giajax-out/loops_fit/result.json")[1]
-    assert compared(second, stored) == "the numbers are the same, bit for bit"
+    assert compared(second, stored) == "all numbers are identical, bit for bit"
     stored["parameters"]["elastic"]["value"] *= 1 + 1e-9
     assert "elastic differs by 1.0e-09 of its value" in compared(second, stored)
 

@@ -96,7 +96,7 @@ def test_the_same_fit_again_has_the_same_numbers(task):
     before = stored_result(task.out)[1]
     assert again.held_out == first.held_out
     assert again.verdict == first.verdict
-    assert compared(again, before) == "the numbers are the same, bit for bit"
+    assert compared(again, before) == "all numbers are identical, bit for bit"
     before["held_out"][0]["channels"]["output"]["rmse"] *= 1 + 1e-9
     assert "quantities derived from them differ" in compared(again, before)
     # Where the new fit begins is another question.
@@ -121,8 +121,8 @@ def test_a_journal_is_of_one_hold_out(task):
     ("names", "words"),
     [
         (["others"], "but is neither a run nor a channel: name a run (loops, other), a channel"),
-        (["loops", "other"], "nothing is left to fit"),
-        (["output"], "nothing is left to fit"),
+        (["loops", "other"], "none is left to fit"),
+        (["output"], "none is left to fit"),
         (["last:2"], "a number between 0 and 1"),
         (["last:0.99"], "cannot determine"),
     ],
@@ -267,7 +267,7 @@ def test_an_interruption_of_the_judgement_keeps_what_was_held_out(task, monkeypa
 def test_another_number_of_runs_is_another_fit(task):
     result = written(task.on_top(hold_out=["other"]), check=False)
     before = stored_result(task.out)[1]
-    assert compared(result, before) == "the numbers are the same, bit for bit"
+    assert compared(result, before) == "all numbers are identical, bit for bit"
     before["held_out"] *= 2
     assert compared(result, before) == (
         "the fits differ: 1 runs with a part held out now, and 2 before"
