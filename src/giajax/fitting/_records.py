@@ -523,8 +523,8 @@ def matching_runs(
     """The runs of a result, in their order, checked to be those.
 
     Of runs that were made in memory, and of windows of one file, there is no checksum that
-    distinguishes them: channels, numbers of measured cells and names have to be the same; unless they may
-    be the whole runs, with more than was fitted: what was held out, other channels.
+    distinguishes them: channels, numbers of measured cells and names have to be the same; unless
+    they may be the whole runs, with more than was fitted: what was held out, other channels.
 
     Raises:
         InputError: they are others, or in another order.
