@@ -13,7 +13,7 @@ REPLACEMENTS = {
     r"(?:tell|tells|telling|told) (?:\w+ )?apart": "distinguish",
     r"(?:data|fit|it|model|residuals|suspect|that) asks? for": "requires, depends on, suggests",
     r"hangs? on": "depends on",
-    r"foretells?|foretold|foresees?|foreseen": "predicts, expects",
+    r"foretells?|foresees?|foreseen": "predicts, expects",
     r"mend(?:s|ed|ing)?": "corrects, repairs",
     r"nobody|somebody": "name the thing or the person",
     r"(?<!there )(?:is|are) none of": "is not one of, does not",

@@ -150,7 +150,7 @@ def without_end():
         ([swing()], ["last:1_0"], ["not a share"]),
         ([swing()], ["last:"], ["not a share"]),
         ([swing()], ["swing"], ["none is left to fit"]),
-        ([swing("a"), swing("b")], ["a", "b"], ["a, b is all that was measured"]),
+        ([swing("a"), swing("b")], ["a", "b"], ["a, b contains all measured values"]),
         ([without_end()], ["last"], ["holds out no measured value"]),
     ],
 )
