@@ -31,7 +31,7 @@ help:
 	@echo "make paper          the paper's figures and tables, into giajax-out/paper"
 	@echo "make docs           the site of the documentation, into build/docs"
 	@echo "make pictures       the pictures of the documentation, into docs/pictures, and its tables"
-	@echo "make lint           formatting and lint"
+	@echo "make lint           formatting, lint and spelling"
 	@echo "make types          static types"
 	@echo "make bench          side-by-side measurements against MuJoCo, CasADi and scipy"
 	@echo "make bench-check    the same, and fail where a ratio fell by a fifth since it was recorded"
@@ -102,6 +102,7 @@ pictures: $(VENV)/.installed-dev
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell
 
 types: $(VENV)/.installed-dev
 	$(BIN)/mypy

@@ -182,8 +182,14 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
         ({"kind": "contents"}, "no section can be called 'contents': give the model another"),
         ({"kind": "my kite"}, "no section can be called 'my kite': give the model another"),
         ({"channels": ("height",)}, r"channels is \('height',\): make it a tuple of .*ChannelKind"),
-        ({"channels": row("x(", "length")}, r"the channel x\( is no name: use letters, digits"),
-        ({"channels": row("aNN_bNN", "length")}, "the channel aNN_bNN is no name: .* NN once"),
+        (
+            {"channels": row("x(", "length")},
+            r"the channel x\( is not a valid name: use letters, digits",
+        ),
+        (
+            {"channels": row("aNN_bNN", "length")},
+            "the channel aNN_bNN is not a valid name: .* NN once",
+        ),
         ({"channels": row("time", "length")}, "the channel time of the row .* rename it"),
         ({"channels": row("cord", "length", "measured")}, "has no part 'measured' in a model: use"),
         ({"channels": row("cord", "text")}, "the channel cord is a text of no values: state them"),

@@ -176,11 +176,11 @@ def test_what_is_lost_is_said(tmp_path):
     [
         ("<mujoco><worldbody/></mujoco>", "has no joint"),
         ("<muj", "is not read by MuJoCo"),
-        (CAPSULES.replace('name="elbow"', 'name="elbow" type="slide"'), "'elbow' is no hinge"),
+        (CAPSULES.replace('name="elbow"', 'name="elbow" type="slide"'), "'elbow' is not a hinge"),
         (CAPSULES.replace('body pos="0.4 0 0"', 'body pos="0.4 0 0.1"'), "'wrist' is 0.1 m off"),
         (CAPSULES.replace('body pos="0.5 0 0"', 'body pos="0 0 0"'), "'shoulder' has no length"),
         (ROBOT.replace('parent link="l1"', 'parent link="base"'), "is a tree"),
-        (ROBOT, "no geom says how thick"),
+        (ROBOT, "no geom states the diameter"),
         (
             HANGING.replace("<inertial", '<joint name="two" axis="0 0 1"/><inertial', 1),
             "two joints",

@@ -219,7 +219,7 @@ def test_a_way_past_the_opening_is_refused():
     ways = {side: np.stack([x, side + 0 * x, 0 * x], axis=1) for side in (0.4, 0.6)}
     target.check(around, ways[0.4])
     for tips in (ways[0.6], ways[0.4][:5], ways[0.4][::-1]):
-        with pytest.raises(InputError, match="does not go through the opening"):
+        with pytest.raises(InputError, match="does not lead through the opening"):
             target.check(around, tips)
 
 
@@ -268,7 +268,7 @@ def test_the_paper_s_arm_goes_through_the_opening():
 
 TOO_MUCH = [
     ({"target": Pose(np.zeros(LINKS + 1))}, "the pose has 4 angles, and the arm has 3 joints"),
-    ({"target": Pose(np.zeros(LINKS))}, "the tip is where it is to go already"),
+    ({"target": Pose(np.zeros(LINKS))}, "the tip is already at its target"),
     ({"target": Pose(np.deg2rad([70.0, 0, 0]))}, "is commanded to 70 deg"),
     ({"target": Tip((9.0, 0.0, 1.0))}, "the tip cannot be at .* choose a target within reach"),
     ({"target": Through()}, "no opening is around the arm"),
@@ -372,14 +372,14 @@ def test_a_fit_gives_bands_and_its_values_to_the_command(tmp_path, monkeypatch, 
     capsys.readouterr()
     assert main(["plan", "--model", "fit", "--pose", "9=20", "--out", "other"]) == 2
     said = capsys.readouterr().err
-    assert "note: the model of fit is inadequate by the verdict of its fit" in said
+    assert "note: the model of fit is inadequate according to the verdict of its fit" in said
 
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ([], "a plan has one target, and there are 0"),
-        (["--pose", "1=20", "--tip", "1,1,1"], "a plan has one target, and there are 2"),
+        ([], "0 targets are given, but a plan has one"),
+        (["--pose", "1=20", "--tip", "1,1,1"], "2 targets are given, but a plan has one"),
         (["--tip", "1,1"], "give three numbers in m"),
         (["--pose", "first=20"], "must be JOINT=DEG"),
         (["--pose", "20"], "must be JOINT=DEG with a number: write it like 1=20"),

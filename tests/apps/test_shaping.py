@@ -170,7 +170,7 @@ def test_what_cannot_be_shaped_is_refused(short):
     with pytest.raises(InputError, match="the command does not move the tip"):
         shape_command(short, moved(0.0, 3))
     unstable = replace(short, {"joints.pitch_stiffness": -1.0})
-    with pytest.raises(InputError, match="the arm is not stable where the command ends"):
+    with pytest.raises(InputError, match="the arm is not stable at the end of the command"):
         shape_command(unstable, moved(0.2, 3))
 
 

@@ -333,7 +333,7 @@ def test_what_cannot_be_tracked_is_refused(model):
         {"joint01_torque": np.zeros(len(run.times)), "tip_x": run.values["tip_x"]},
         noise={"tip_x": 0.01},
     )
-    with pytest.raises(InputError, match="follows commanded angles"):
+    with pytest.raises(InputError, match="tracking needs commanded angles"):
         track(model, torque)
     with pytest.raises(InputError, match="gusts are tracked at 9 places"):
         track(model, run, unknown=Unknown(air=Air(WIND, 0.1, places=9)))
@@ -554,7 +554,10 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
         (["--live", "0"], "give a positive number of seconds"),
         (["--free", "arm.nothing"], "arm.nothing"),
         (["--free", f"{STIFFNESS}=-1"], "give one positive number"),
-        (["--free", STIFFNESS, "--uncertain", f"{STIFFNESS}=1"], "by --free and by --uncertain"),
+        (
+            ["--free", STIFFNESS, "--uncertain", f"{STIFFNESS}=1"],
+            "with --free and with --uncertain",
+        ),
         (["--truth", str(tmp_path / "none.csv")], "none.csv"),
         (["--truth", str(path)], "no true angle or rate"),
     ):

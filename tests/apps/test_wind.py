@@ -351,7 +351,7 @@ def test_an_arm_that_still_came_to_rest_and_the_channels_that_are_asked_for(tmp_
         facts = json.loads(said.out)
         assert facts["channels"] == ["joint01_angle"]
         speeds.append(facts["numbers"]["speed"])
-        assert ("which are unlike the rest" in said.out) == (not more)
+        assert ("which differ from the rest" in said.out) == (not more)
     assert abs(speeds[0]["value"] - SPEED) < 3 * speeds[0]["standard_error"]
     assert abs(speeds[1]["value"] - SPEED) > 3 * speeds[1]["standard_error"]
     assert main([*words, "--channels", "link09_z"]) == 2

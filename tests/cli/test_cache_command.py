@@ -49,7 +49,7 @@ def test_there_may_be_none(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert main(["cache"]) == 0
-    assert "nothing is kept" in capsys.readouterr().out
+    assert "no programs are kept" in capsys.readouterr().out
 
 
 CONFIGURE = (
@@ -90,7 +90,7 @@ def test_a_folder_of_programs_is_this_accounts_own(tmp_path, variable):
         assert not process.is_private(wrong)
     found, said = configured(**{variable: home})
     assert found == ["None", "False"]
-    assert said.startswith(f"giajax: {wrong} can be written by others, or belongs to another")
+    assert said.startswith(f"giajax: {wrong} can be written by other accounts, belongs to another")
     assert said.count("\n") == 1
 
 
@@ -145,4 +145,4 @@ def test_a_damaged_cache_is_one_sentence(tmp_path):
         entry.write_bytes(b"damaged")
     (said,) = compiled()
     assert said.startswith(f"giajax: compiled programs in {tmp_path} cannot be read or written (")
-    assert said.endswith("and are compiled anew: see giajax cache")
+    assert said.endswith("and are compiled again: see giajax cache")

@@ -136,6 +136,6 @@ def test_what_agrees_is_good_and_nothing_in_common_is_not(folder, tmp_path, caps
 
 def test_one_result_has_nothing_to_be_compared_with(folder, capsys):
     assert main(["compare", str(folder / "free")]) == 2
-    assert "two or more" in capsys.readouterr().err
+    assert "at least two" in capsys.readouterr().err
     assert main(["compare", str(folder / "free"), str(folder / "none")]) == 2
     assert "does not exist" in capsys.readouterr().err

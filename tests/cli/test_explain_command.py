@@ -39,13 +39,13 @@ def steps(folder):
 def test_steps_parameters_files_and_a_page(explained):
     folder, out, error = explained
     assert steps(folder) == STEPS
-    assert "the data ask for muscle.end_correction beyond the first model" in out
+    assert "the data support muscle.end_correction in addition to the first model" in out
     assert "verdict: adequate" in out
     assert "step 1: muscle.end_correction: chi-square" in error
     result = load_result(folder)
     assert result.parameters["muscle.end_correction"].value == pytest.approx(1.7, abs=0.02)
     page = (folder / "explain.html").read_text()
-    assert "What the data ask for" in page
+    assert "What the data support" in page
     assert "Content-Security-Policy" in page
     # What is left of it is a result for all other commands.
     status, _, _ = giajax("predict", folder, "--data", folder.parent / "muscle.csv")
@@ -72,7 +72,7 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
     # A journal that says what none does is refused, and no file beyond the fits is read.
     for line, why in (
         ("[" * 5_000, "nested more than"),
-        ('{"name": "first"}', "it is no line of an explanation"),
+        ('{"name": "first"}', "it is not a line of an explanation"),
         ("[]", "is [], but must be an object"),
         ('{"name": "first", "fit": "../../other.json"}', "it names no file of its fits"),
         ('{"name": "first", "fit": 3}', "fit is 3, but must be text"),
@@ -95,7 +95,7 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
     # What is there is not written over, nor mixed with other settings.
     other = ("explain", "--data", folder.parent / "none.csv", "--out", folder)
     for options, sentence in (
-        (("explain", "--resume", tmp_path), "has no explanation to go on with"),
+        (("explain", "--resume", tmp_path), "has no explanation to continue"),
         (("explain", "--resume", folder, "--loss", "huber"), "leave out the others"),
         ((*other[:2], explained[0].parent / "muscle.csv", *other[3:]), "holds an explanation"),
         (("explain",), "give at least one run"),
@@ -116,7 +116,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
     asked = (*asked, "--fix", "muscle.end_correction=1.5", "--max-steps", "0", "--quiet")
     status, _, error = giajax(*asked)
     assert status == 2
-    assert "why/fits holds files that are of no explanation" in error
+    assert "why/fits holds files that do not belong to an explanation" in error
     with monkeypatch.context() as without:
         without.setattr("giajax.report._pages._NEEDED", ("markdown_of_nobody",))
         status, _, error = giajax(*asked[:5])
@@ -127,7 +127,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
     # The first fit is stopped, and there is nothing to go on with.
     status, _, error = giajax(*asked, "--force", "--budget", "0.001s")
     assert status == 1
-    assert error == "giajax: the budget was used up: this is what was reached\n"
+    assert error == "giajax: the budget was used up: this is the result so far\n"
     assert giajax(*asked, "--force") == (0, "", "")
     whole = Path("why/explain.json").read_bytes()
     assert giajax(*asked, "--force") == (0, "", "")

@@ -80,13 +80,13 @@ def test_options_change_what_is_printed(tmp_path, capsys):
     quicker = json.loads(capsys.readouterr().out)
     assert quicker["duration_s"] < 0.6 * usual["duration_s"]
     assert main([*command, "--set", "links.mass=1"]) == 0
-    assert "the arm's lift does not bear it" in capsys.readouterr().out
+    assert "the lift does not carry the arm" in capsys.readouterr().out
 
 
 def test_a_supply_that_is_too_weak_is_said(tmp_path, capsys):
     (tmp_path / "little.toml").write_text(DEFINITION.replace("1.5", "1e-9"))
     assert main(["fill", str(tmp_path / "little.toml"), "--no-curve"]) == 0
-    assert "not full after 360 min: the supply is too weak, or has too" in capsys.readouterr().out
+    assert "not full after 360 min: the supply is too weak or holds too" in capsys.readouterr().out
 
 
 BAD = {

@@ -73,7 +73,7 @@ def test_numbers_without_figures(data):
     }
     assert "wrote out: result.json, prediction.csv, prediction.toml\n" in out
     # It ended early, and can go on.
-    assert out.endswith("to go on with it: giajax fit --resume out --max-iterations 2\n")
+    assert out.endswith("to continue it: giajax fit --resume out --max-iterations 2\n")
 
 
 def test_it_finds_the_truth(fitted):
@@ -319,7 +319,7 @@ def test_a_channel_is_renamed_on_the_way(data):
     assert channels["link04_z"].n == 36
     # The sidecar no longer says what the noise is.
     assert channels["link04_z"].noise == pytest.approx(NOISE, rel=0.5)
-    assert "noise that was not stated is guessed" in out
+    assert "noise that was not stated is estimated" in out
 
 
 def test_an_interruption_in_the_loop_writes_the_best_so_far(data, tmp_path, monkeypatch):

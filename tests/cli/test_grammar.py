@@ -75,7 +75,10 @@ BESIDE = ("init", "profile")  # beside what they are given
 def test_what_writes_has_force_and_quiet_and_what_prints_has_neither(name):
     known = options_of(name)
     writes = name in BESIDE or any(option in known for option in WRITTEN)
-    for option, text in (("--force", "Write over files."), ("--quiet", "Print errors only.")):
+    for option, text in (
+        ("--force", "Overwrite existing files."),
+        ("--quiet", "Print errors only."),
+    ):
         if (name, option) == ("choose", "--quiet"):  # of its progress: it writes nothing
             assert known[option].help == "No progress."
             continue

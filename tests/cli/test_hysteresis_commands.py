@@ -101,9 +101,9 @@ def refused(capsys, arguments, words):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ([], "need one source: give a fit"),
-        (["--loop", "a.csv", "b"], "and not both"),
-        (["b", "--travel", "3"], "--travel goes with --loop: give both"),
+        ([], "exactly one source of commands: give either a fit"),
+        (["--loop", "a.csv", "b"], "or --loop with a run"),
+        (["b", "--travel", "3"], "--travel is only used with --loop: give both"),
         (["--loop", "a.csv", "--travel", "-3"], "--travel is -3: give a positive number"),
         (["--loop", "a.csv", "--travel", "nan"], "--travel 'nan' must be a number"),
     ],
@@ -123,8 +123,12 @@ def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
         "is 85 deg in sample 3, beyond the reachable range from",
     )
     refused(capsys, ["compensate", "--loop", loops, "--target", far, *out], "beyond the reachable")
-    refused(capsys, ["compensate", "--target", good, *out], "give a fit, or --loop")
-    refused(capsys, [*model, "--travel", "3", "--target", good, *out], "--travel goes with --loop")
+    refused(capsys, ["compensate", "--target", good, *out], "give either a fit, or --loop")
+    refused(
+        capsys,
+        [*model, "--travel", "3", "--target", good, *out],
+        "--travel is only used with --loop",
+    )
     lone = tmp_path / "lone.csv"
     lone.write_text("time_s,command_deg\n0,0\n1,1\n2,2\n")
     nothing = ["compensate", "--loop", loops, "--travel", "3", "--target", str(lone), *out]

@@ -97,7 +97,7 @@ def test_a_signal_writes_the_best_so_far(folder, plain, number, status):
     code, out, err = ended(running)
     assert (code, "Traceback" in err) == (status, False)
     assert "interrupted after" in out
-    assert "to go on with it: giajax fit --resume out" in out
+    assert "to continue it: giajax fit --resume out" in out
     result = load_result("out")
     assert (result.status, result.iterations) in [("interrupted", 5), ("interrupted", 6)]
     assert "fit.lock" not in os.listdir("out")
@@ -221,7 +221,7 @@ def test_again_and_from(folder, capsys):
     assert main([*FIT]) == 0
     first = numbers("out")
     assert main(["fit", "--again", "out/result.json", "--no-figures"]) == 0
-    assert "the numbers are the same, bit for bit" in capsys.readouterr().out
+    assert "all numbers are identical, bit for bit" in capsys.readouterr().out
     assert numbers("out-again") == first
     assert main([*FIT[:-1], "on", "--from", "out", "--free", "elastic"]) == 0
     assert load_result("on").parameters["weights"].value == [
@@ -230,7 +230,7 @@ def test_again_and_from(folder, capsys):
     capsys.readouterr()
     assert main(["fit", "--resume", "out"]) == 0
     said = capsys.readouterr().out
-    assert said.startswith("the fit in out has ended, and there is nothing")
+    assert said.startswith("the fit in out has ended and cannot be continued")
 
 
 WRONG = {
@@ -240,7 +240,7 @@ WRONG = {
     "no unit": (["loops_fit.toml", "--budget", "10"], 'such as "90s", "10m" or "2h"'),
     "again and data": (["--again", "out", "--data", "loops.csv"], "leave out the others"),
     "again and resume": (["--again", "out", "--resume", "out"], "leave out the others"),
-    "a journal of words": (["--resume", "words"], "is damaged in line 1, or is no journal"),
+    "a journal of words": (["--resume", "words"], "is damaged in line 1, or is not a journal"),
 }
 
 

@@ -31,7 +31,7 @@ def test_nothing_is_written_over(tmp_path, capsys):
 @pytest.mark.quick
 def test_only_table_3_has_an_inverse(tmp_path, capsys):
     assert main(["paper", "fig5", "--inverse", "--out", str(tmp_path)]) == 2
-    assert "--inverse is of table3, and not of fig5" in capsys.readouterr().err
+    assert "--inverse applies to table3 only, not to fig5" in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def test_all_goes_on_where_it_was_stopped(tmp_path, capsys, made):
     assert made == [*NAMES[:2], "again"]
     assert main(words) == 0
     assert made == [*NAMES[:2], "again", *NAMES[2:]]
-    assert f"{NAMES[0]}, {NAMES[1]}: there and whole, and not made again" in capsys.readouterr().err
+    assert f"{NAMES[0]}, {NAMES[1]}: complete, and kept" in capsys.readouterr().err
     page = (tmp_path / "index.html").read_text()
     assert "Content-Security-Policy" in page
     assert [f"This is {name}" in page for name in NAMES] == [True] * len(NAMES)

@@ -52,7 +52,7 @@ def test_profiles_are_written_added_to_and_shown(fit, capsys):
 
     # Those of another level, and of another fit, are not written over, and not shown.
     assert main(["profile", str(fit), "--parameter", free[0], "--level", "0.9"]) == 2
-    assert "of the level 0.95: give --force to write over it" in capsys.readouterr().err
+    assert "of the level 0.95: give --force to overwrite it" in capsys.readouterr().err
     record = json.loads((fit / "profiles.json").read_text())
     (fit / "profiles.json").write_text(json.dumps({**record, "fit": "0"}))
     assert main(["profile", str(fit), "--parameter", free[0]]) == 2

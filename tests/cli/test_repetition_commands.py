@@ -51,7 +51,7 @@ def test_what_spans_do_is_told_and_drawn(folder, capsys):
     words = ["influence", str(folder), "--data", str(folder / "run.csv"), "--spans", "3"]
     assert main([*words, "--rows", "2"]) == 0
     printed = capsys.readouterr().out
-    assert "and 1 more, which move less" in printed
+    assert "and 1 more with less influence" in printed
     found = Influence.of_json((folder / "influence.json").read_bytes())
     assert [part.kind for part in found.parts] == ["span"] * 3
     assert found.parts[0].name in printed
@@ -69,7 +69,7 @@ def test_a_self_test_is_written_beside_the_result_or_says_why_not(
     files = _bootstrap.self_test(result, [run], tmp_path, shown=True)
     assert files == [tmp_path / "bootstrap.json", tmp_path / "bootstrap.png"]
     assert Bootstrap.of_json(files[0].read_bytes()).size == 3
-    assert "3 of 3 fits came back (100 %)" in capsys.readouterr().out
+    assert "3 of 3 fits converged (100 %)" in capsys.readouterr().out
     stopped = dataclasses.replace(result, status="not_converged")
     assert _bootstrap.self_test(stopped, [run], tmp_path, shown=False) == []
     assert "no self-test: the fit did not converge" in capsys.readouterr().err

@@ -213,7 +213,7 @@ def test_what_is_written_of_an_own_arm_begins_at_that_arm(out, tmp_path, capsys)
 
 
 REFUSED = {
-    "nothing moves": ([], ["nothing moves the arm", "--step"]),
+    "nothing moves": ([], ["the arm does not move", "--step"]),
     "joint beyond the arm": (["--links", "3", "--ramp", "4=10"], ["joint 4", "joints 1 to 3"]),
     "steps and ramps": (["--step", "1=10", "--ramp", "2=5"], ["mixed"]),
     "bad step": (["--step", "1:30"], ["JOINT=DEG[@T]"]),
@@ -374,7 +374,7 @@ def test_each_link_has_gusts_of_its_own(out):
 
 def test_coherence_is_of_gusts(out, capsys):
     simulate(out, *SHORT, "--wind", "0,0.3,0", "--coherence", "12", status=2)
-    assert "give --gusts, too" in capsys.readouterr().err
+    assert "add --gusts" in capsys.readouterr().err
     windy = (*SHORT, "--wind", "0,0.3,0", "--gusts", "0.3:5")
     simulate(out, *windy, "--coherence", "-1", status=2)
     assert "--coherence is -1: give a decay of at least 0" in capsys.readouterr().err
@@ -401,4 +401,4 @@ def test_gusts_that_are_none_are_refused(out, text, capsys):
 
 def test_gusts_need_a_mean_wind(out, capsys):
     simulate(out, *SHORT, "--gusts", "0.3:5", status=2)
-    assert "give it by --wind" in capsys.readouterr().err
+    assert "add --wind" in capsys.readouterr().err

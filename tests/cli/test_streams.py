@@ -47,8 +47,8 @@ def shell(line, **variables):
 
 
 LOST = (
-    "giajax: standard output cannot be written (No space left on device): what it lacks is lost, "
-    "and files that were written are whole\n"
+    "giajax: standard output cannot be written (No space left on device): the rest of the output "
+    "is lost, and the files that were written are complete\n"
 )
 
 
@@ -220,7 +220,7 @@ def test_a_disk_that_is_full_after_the_result(folder, capsys, monkeypatch, room)
         assert json.loads(out)["status"] == "converged"
         return
     assert status == 0
-    assert "giajax: the result is written, but out/" in err
+    assert "giajax: the result was written, but out/" in err
     assert load_result("out").status == "converged"
 
 

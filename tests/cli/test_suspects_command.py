@@ -85,7 +85,7 @@ def test_a_run_that_has_moved_or_changed(folder, tmp_path, capsys):
     other = str(ROOT / "data" / "synthetic" / "muscle_empirical.csv")
     assert main(["suspects", result, "--data", other]) == 2
     said = capsys.readouterr().err
-    assert "have not the content of" in said
+    assert "do not have the content of" in said
     assert said.count("\n") == 1
 
 
@@ -95,7 +95,7 @@ def test_a_run_that_has_moved_or_changed(folder, tmp_path, capsys):
         (["none"], "does not exist"),
         (["{fit}", "--validation", "x.csv"], "add --ladder"),
         (["{fit}", "--tries", "3"], "add --ladder"),
-        (["{fit}", "--each", "muscle.diameter"], "has no elements to be asked for"),
+        (["{fit}", "--each", "muscle.diameter"], "has no elements to test one by one"),
         (["{fit}", "--uncertainty", "muscle.diameter"], "must be PATH=VALUE"),
         (["{fit}", "--uncertainty", "muscle.diameter=0"], "is not positive: give"),
     ],
@@ -145,7 +145,7 @@ def test_a_fit_whose_residuals_show_nothing_is_doubtful_by_what_it_held(folder, 
     run = ["fit", "--data", str(folder / "muscle.csv"), *wrong, "--no-figures", "--force"]
     assert main([*run, "--strict"]) == 3
     printed = capsys.readouterr()
-    assert "testing what the fit held or left out" in printed.err
+    assert "testing fixed and omitted parameters" in printed.err
     (line,) = [line for line in printed.out.splitlines() if line.startswith("verdict ")]
     assert "doubtful: " in line
     assert "muscle.end_correction" in line

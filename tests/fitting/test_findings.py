@@ -64,7 +64,7 @@ def test_a_model_that_describes_nothing_is_asked_first_whatever_passes_for_noise
     result = fit(Decay(), wrong, free=free, max_iterations=20)
     assert result.reduced_chi_square < 5
     finding = coded(result)["no_response"]
-    assert finding.advice.startswith("ask first why the model does not describe the data")
+    assert finding.advice.startswith("first find out why the model does not describe the data")
     early = fit(Decay(), wrong, free=free, max_iterations=5)
     assert early.reason == "iterations"
     assert "the model does not describe the data" in early.message
@@ -78,7 +78,10 @@ def test_where_most_cells_are_far_off_they_are_no_outliers():
     recorded = run(samples=200)
     waves = 2 * np.sin(3 * recorded.times) + np.random.default_rng(0).normal(scale=0.01, size=200)
     free = ["amplitude", "decay", "offset", "idle"]
-    for values, said in ((waves, "ask first why"), (recorded.values["tip_z"], "leave it held")):
+    for values, said in (
+        (waves, "first find out why"),
+        (recorded.values["tip_z"], "leave it fixed"),
+    ):
         again = replace(recorded, values={"tip_z": values})
         result = fit(Decay(), again, free=free, loss="student_t", max_iterations=20)
         assert coded(result)["no_response"].advice.startswith(said)

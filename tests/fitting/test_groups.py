@@ -163,7 +163,7 @@ def test_a_prior_and_bounds_hold_for_each_value():
     for record in result.runs:
         own = record.parameters["offset"]
         assert own.value == pytest.approx(0.35, abs=1e-3)
-        assert own.remark.startswith("its value is mostly that of its prior")
+        assert own.remark.startswith("its value is mainly that of its prior")
 
 
 def test_bounds_of_a_fit_hold():

@@ -22,7 +22,7 @@ SIGMA = 0.01
 
 
 def judged(runs, names, **settings):
-    """A fit of some runs without what is held out, and judged by it."""
+    """A fit of some runs without the held-out data, and judged by it."""
     parts = hold_out(runs, names)
     fitted = [part.fitted for part in parts if part.fitted is not None]
     settings = {"start": START, **settings}

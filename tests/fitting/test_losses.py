@@ -231,7 +231,7 @@ def test_parameters_are_numbers_of_python_or_numpy_and_keep_their_type():
     for wrong in (StudentT(jnp.asarray(3.0)), Cauchy(jnp.asarray(3.0))):
         with pytest.raises(InputError, match="which no file can state: give a finite number"):
             check_loss(wrong)
-    with pytest.raises(InputError, match=r"StudentT.* is no loss: give an object"):
+    with pytest.raises(InputError, match=r"StudentT.* is not a loss: give an object"):
         check_loss(StudentT)
 
 
@@ -261,7 +261,7 @@ CASES = {
     "Broken": (lambda r: r.square, r"fails \(AttributeError: .*square"),
     "Negative": (lambda r: jnp.where(r > 3, -1.0, r**2), "is negative at r = 3"),
     "Uneven": (lambda r: jnp.where(r > 2, r, r**2), "differs from what it is at -r at r = 2"),
-    "Double": (lambda r: 2 * jnp.log1p(r**2), r"begins as 0 \+ 2 r\^2, and must begin as r"),
+    "Double": (lambda r: 2 * jnp.log1p(r**2), r"begins as 0 \+ 2 r\^2, but must begin as r"),
     "Lifted": (lambda r: 1 + r**2, r"begins as 1 \+ 1 r\^2"),
     "Rooted": (lambda r: jnp.abs(r) * jnp.sqrt(r**2), "has a derivative that is not finite at"),
     "Missing": (lambda r: jnp.where(r > 9, jnp.nan, r**2), "has a value that is not finite at"),
@@ -296,7 +296,7 @@ def test_only_rho_is_a_losss_own():
         is_linear = True
 
     for wrong, name in ((Derived(), "transform"), (Claiming(), "is_linear")):
-        with pytest.raises(InputError, match=f"has a {name} of its own, which follows from rho"):
+        with pytest.raises(InputError, match=f"defines {name}, which follows from rho"):
             check_loss(wrong)
     assert not Derived().is_linear
 

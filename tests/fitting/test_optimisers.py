@@ -76,7 +76,7 @@ class Idle(Marquardt):
             "iterations",
             "Marquardt found no optimum in 2 iterations",
         ),
-        ({"optimiser": Idle()}, "crawl", "ended where a step would still gain: give it smaller"),
+        ({"optimiser": Idle()}, "crawl", "ended before convergence: give it smaller"),
     ],
     ids=["iterations", "idle"],
 )
@@ -132,13 +132,13 @@ def test_what_cannot_be_journalled_or_sent_to_workers_says_so(tmp_path):
         )  # fmt: skip
     assert not steps
     before = fit(Decay(), recording, start=START, check=False)
-    with pytest.raises(InputError, match="the result to add starts to is of another fit"):
+    with pytest.raises(InputError, match="the result to add starts to belongs to another fit"):
         giajax.multi_start(
             Decay(), recording, start=START, starts=3, before=before, optimiser=optimiser
         )
     small_loops.write_task(tmp_path)
     task = giajax.FitTask.load(tmp_path / "loops_fit.toml").on_top(optimiser=optimiser)
-    with pytest.raises(InputError, match=r"a fit by Dogleg\(rtol=1e-10, .*has no steps to keep"):
+    with pytest.raises(InputError, match=r"a fit by Dogleg\(rtol=1e-10, .*has no steps to record"):
         task.on_top(max_iterations=60).run(journal=tmp_path / "kept")
     ready = task.on_top(noise_model="white", max_iterations=500).prepare()
     result = ready.run(check=False)

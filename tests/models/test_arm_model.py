@@ -120,7 +120,7 @@ def test_a_fitted_mass_is_conditional_on_the_forces():
     assert "held at links.inertia_transverse" in sentence
     assert "air.drag_coefficient = 1.3" in sentence
     everything = [path for path in giajax.declared(model) if path.startswith(("links", "j", "air"))]
-    assert "nothing of these is held" in model.conditions(everything, [])[0]
+    assert "none of these is fixed" in model.conditions(everything, [])[0]
     assert model.conditions(["gravity"], []) == []
 
 

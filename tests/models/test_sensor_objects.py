@@ -362,7 +362,10 @@ def test_a_sensor_with_a_delay_shows_what_was_so_much_earlier():
         (gauge(row=("tip_position", "tip_x", "length", "output")), "of Gauge is that of giajax"),
         (gauge(row=("imu_rate", "imuNN_gyro_x", "angle", "output")), "is that of gyroscope"),
         (gauge(row=("gauge", "tip_x", "ratio", "output")), "there is a channel tip_x already"),
-        (gauge(row=("gauge", "gauge(", "ratio", "output")), r"the channel gauge\( is no name"),
+        (
+            gauge(row=("gauge", "gauge(", "ratio", "output")),
+            r"the channel gauge\( is not a valid name",
+        ),
     ],
 )
 def test_a_sensor_without_a_method_or_with_the_row_of_another_is_refused(wrong, said):

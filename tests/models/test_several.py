@@ -150,8 +150,8 @@ def test_each_recording_is_worth_what_is_lost_without_it(fitted):
     assert fitted.parameters["offset"].sources["wave"] is None
     assert fitted.parameters["drift"].sources["line"] is None
     said = summary(fitted)
-    assert "wave: nothing else determines offset" in said
-    assert "line: nothing else determines drift; without it" in said
+    assert "wave: only source of information on offset" in said
+    assert "line: only source of information on drift; without it" in said
 
 
 def test_what_one_recording_determines_has_no_sources(runs):
@@ -247,7 +247,7 @@ def test_a_definition_asks_each_run_for_its_own_channels(files):
 
 def test_a_channel_of_no_run_is_refused(files):
     for name in ("force", "nothing"):
-        with pytest.raises(InputError, match=f"'{name}' is no channel that these runs"):
+        with pytest.raises(InputError, match=f"'{name}' is not a common channel of these runs"):
             read_runs(files, Definition.parse({"fit": {"channels": [name]}}))
     # A run of the validation may be of one of the models alone.
     asked = Definition.parse({"fit": {"channels": ["tip_z"], "window_s": 2.0}})

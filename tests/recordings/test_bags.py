@@ -168,7 +168,7 @@ def test_a_bad_bag_is_one_sentence(tmp_path, monkeypatch):
     for name, how, says in [
         ("other", {}, "but /talk (std_msgs/msg/String): give another bag"),
         ("empty", {}, "metadata.yaml does not exist"),
-        ("torn.mcap", {}, "is no whole MCAP file"),
+        ("torn.mcap", {}, "is not a complete MCAP file"),
         ("text.db3", {}, "file is not a database"),
         ("gone.mcap", {}, "gone.mcap fails (FileNotFoundError"),
         ("bag", {"axes": ("x", "-y")}, "--axes changes nothing in this table of ROS 2: leave it"),
@@ -253,18 +253,18 @@ FILES = {
     "other than its 100 bytes": mcap(topic(), chunk(bytes(1 << 25), size=100), GOOD),
     "is packed by 'tars'": mcap(topic(), chunk(GOOD).replace(b"zstd", b"tars")),
     "is cut off": mcap(topic(), b"\x05" + b"\xff" * 8, GOOD),
-    "is no whole MCAP file": mcap(topic(), GOOD)[:-30],
+    "is not a complete MCAP file": mcap(topic(), GOOD)[:-30],
     "has 2 messages, but says 5": mcap(
         topic(), GOOD, end=record(11, struct.pack("<QHIIIIQQ", 5, 1, 1, 0, 0, 0, 0, 1), bytes(4))
     ),
     "has channel 1 for two topics": mcap(topic(), GOOD, end=topic().replace(b"/j", b"/k")),
-    "has records of 7, which is no channel or schema": mcap(topic(), told(0, [], number=7)),
-    "has records of 9, which is no channel": mcap(
+    "has records of 7, which is not a channel or schema": mcap(topic(), told(0, [], number=7)),
+    "has records of 9, which is not a channel": mcap(
         record(4, b"\1\0\x09\0", "/j", "cdr", bytes(4)), GOOD
     ),
     "more than 10,000 series": mcap(topic(), *(told(i, [f"n{i}"], [1.0]) for i in range(10_001))),
-    "'/j/a\\x1b[2J\\nb' is no name": mcap(topic(), told(0, ["a\x1b[2J\nb"], [1.0])),
-    "is no name: it may have 1,000 letters": mcap(topic(), told(0, ["q" * 1_001], [1.0])),
+    "'/j/a\\x1b[2J\\nb' is not a valid name": mcap(topic(), told(0, ["a\x1b[2J\nb"], [1.0])),
+    "is not a valid name: it may have 1,000 letters": mcap(topic(), told(0, ["q" * 1_001], [1.0])),
     "/j/a twice": mcap(topic(), told(0, ["a", "a"], [1.0, 2.0])),
     "has 2 names but 1 values of position": mcap(topic(), told(0, ["a", "b"], [1.0])),
     "/j/a is inf in a message": mcap(topic(), told(0, ["a"], [np.inf])),
@@ -316,7 +316,7 @@ SCRIPTS = {
     + ")' WHERE name = 'messages'",
     "1 messages of no topic": "UPDATE messages SET topic_id = 9 WHERE id = 2",
     "was received at 'soon'": "UPDATE messages SET timestamp = 'soon'",
-    "has a message that is no data": "UPDATE messages SET data = 'hello'",
+    "has a message without data": "UPDATE messages SET data = 'hello'",
     "too big": "UPDATE messages SET data = zeroblob(300000000) WHERE id = 1",
     "more than 10,000 topics": "WITH RECURSIVE c(x) AS (SELECT 9 UNION ALL SELECT x + 1 FROM c"
     " WHERE x < 10010) INSERT INTO topics SELECT x, '/t' || x, 'a/b/C', 'cdr', '', '' FROM c",

@@ -123,7 +123,7 @@ def test_a_frame_of_a_run_is_its_file(tmp_path):
     ("frame", "units", "error"),
     [
         (3.0, None, "is not made from a float"),
-        (COLUMNS, {"tip_y": "m"}, "units has 'tip_y', which is no column"),
+        (COLUMNS, {"tip_y": "m"}, "units has 'tip_y', which is not a column"),
         (COLUMNS | {"tip_z_m": TIMES}, None, "both give tip_z"),
         (COLUMNS | {"tip_y": TIMES}, None, "tip_y"),
         (COLUMNS | {"tip_y": TIMES}, {"tip_y": "deg"}, "must be in"),

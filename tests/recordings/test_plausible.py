@@ -263,7 +263,10 @@ def test_a_mistake_is_named(mistake, name):
     [
         ({"link_pressure_kPa": [1.0] * 19 + [0.0205]}, "1 of 20 links bear less than the 50.1 N"),
         ({"contact_pressure_kPa": 0.5}, "p pi r^2 is 35.3 N, at 500.0 Pa"),
-        ({"muscle_law": "empirical", "link_pressure_kPa": 0.25}, "less than the 20.0 N that one"),
+        (
+            {"muscle_law": "empirical", "link_pressure_kPa": 0.25},
+            "less than the 20.0 N pull of one",
+        ),
         ({"muscle_law": "empirical", "link_pressure_kPa": 0.3}, None),
         ({"parameters": {"muscle.pressure_limit": 1e5}, "link_pressure_kPa": 0.5}, None),
         ({}, None),
@@ -310,7 +313,9 @@ def test_positions_in_another_unit_are_renamed(factor, unit):
     for column in positions(columns):
         columns[column] = factor * columns[column]
     odd = found(columns, definition)[0]
-    assert re.search(rf"--rename (link.._._)m=\1{unit}, and the others alike", odd.remedy)
+    assert re.search(
+        rf"--rename (link.._._)m=\1{unit}, and rename the others in the same way", odd.remedy
+    )
 
 
 @quick

@@ -205,8 +205,8 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ([], "DeepLabCut counts pictures: give --frame-rate"),
-        (["--frame-rate", "50"], "no tracked point is a channel"),
+        ([], "DeepLabCut counts frames: give --frame-rate"),
+        (["--frame-rate", "50"], "no tracked point is assigned to a channel"),
         (["--frame-rate", "50", "--point", "nose=tip"], "there is no tracked point 'nose'"),
         (
             ["--frame-rate", "50", "--point", "elbow=wrist"],

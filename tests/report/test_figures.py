@@ -61,7 +61,7 @@ def test_a_fit_is_drawn_from_its_result_and_its_run(result, run):
     for figure in (plot(result, run), result.plot(run), result.plot(), parsed(result).plot()):
         (_, _, panel) = panels(figure)
         np.testing.assert_allclose(panel.lines[1].get_ydata(), result.predictions[0]["link04_z"])
-    with pytest.raises(InputError, match=r"it was not fitted as it is now.*predict"):
+    with pytest.raises(InputError, match=r"its data have changed since the fit.*predict"):
         plot(result, dataclasses.replace(run, name="another"))
     twice = dataclasses.replace(result, runs=result.runs * 2)
     with pytest.raises(InputError, match="several of that name"):

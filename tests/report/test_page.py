@@ -192,7 +192,7 @@ def test_repetitions_are_on_the_page_of_their_fit_alone(result, run, tmp_path):
     parsed = Page(report_page(result, [run], source=source))
     assert parsed.headings == [*SECTIONS[:7], "repetitions", "influence", *SECTIONS[7:]]
     assert ["link04", "marker", "72", "fit", "-", "+0.50 (1.25)"] in parsed.rows
-    assert "21 of 22 fits came back (95.5 %); the others were ended by: wall 1" in parsed.text
+    assert "21 of 22 fits converged (95.5 %); the others failed: wall 1" in parsed.text
     assert any(row[0] == path and "100.0 % (83.9 .. 100.0)" in row for row in parsed.rows if row)
     assert json.loads(parsed.data("repetitions-0"))["doc"]["roots"]
     # Of another fit in the same folder, nothing.
@@ -202,13 +202,15 @@ def test_repetitions_are_on_the_page_of_their_fit_alone(result, run, tmp_path):
     # A damaged one is said in its place.
     odd = dataclasses.replace(asked, parts=(dataclasses.replace(part, exact_widening={}),))
     for text, why in (
-        ("{", r"this is no influence\.json of this version of giajax \(it is not JSON\)"),
+        ("{", r"this is not a file influence\.json of this version of giajax \(it is not JSON\)"),
         (odd.to_json(), "its numbers do not agree"),
     ):
         (tmp_path / "influence.json").write_text(text)
         (section,) = sections(result, source)
         assert (section.id, len(section.warnings)) == ("influence", 1)
-        assert re.match(rf"influence\.json is damaged: {why}: ask for", section.warnings[0])
+        assert re.match(
+            rf"influence\.json is damaged: {why}: run giajax influence", section.warnings[0]
+        )
     assert "influence.json is damaged" in Page(report_page(result, [run], source=source)).text
     (tmp_path / "influence.json").write_text(asked.to_json())
     assert sections(dataclasses.replace(result, parameters={}), source) == []

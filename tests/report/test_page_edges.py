@@ -89,7 +89,9 @@ def test_what_is_known_worst_is_in_the_units_of_the_columns():
         for path, one in result.free.items()
     }
     vague = dataclasses.replace(result, parameters={**result.parameters, **free})
-    (worst,) = [limit for limit in opening(vague).limits if "is known worst" in limit]
+    (worst,) = [
+        limit for limit in opening(vague).limits if "has the largest relative error" in limit
+    ]
     assert "output" not in worst
     assert "input" not in worst
 

@@ -50,7 +50,7 @@ def test_the_table_lists_what_was_free_and_what_was_fixed(result):
 
 @pytest.mark.parametrize("width", [60, 80, 120])
 def test_nothing_is_wider_than_the_terminal(result, width):
-    remark = "not determined: no channel responds to it; left at its start"
+    remark = "not determined: no channel responds to it; kept at its initial value"
     path = "joints.yaw_stiffness"
     loose = dataclasses.replace(result.parameters[path], standard_error=None, remark=remark)
     shown = dataclasses.replace(result, parameters={**result.parameters, path: loose})

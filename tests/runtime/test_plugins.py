@@ -88,7 +88,7 @@ def test_results_and_workers_are_of_the_plug_in_that_was_used(tmp_path):
     versions = {"jax": "1", **sources_of(registered("drag", "UsedLaw")())}
     digest = plugins()[path]
     check_sources(versions)
-    with pytest.raises(InputError, match=r"used_law.py has changed since: give the one of then"):
+    with pytest.raises(InputError, match=r"used_law.py has changed since: give the former version"):
         check_sources({"used_law.py": "sha256 0"})
     _plugins._PLUGINS.clear()
     del sys.modules["used_law"]
@@ -108,7 +108,9 @@ def test_a_class_of_that_name_in_another_file_is_not_that_of_the_result(tmp_path
         versions = versions or sources_of(registered("drag", "MovedLaw")())
     assert list(sources_named("drag = 'MovedLaw'")) == ["other_laws.py"]
     check_sources(versions, "drag = 'strip'")
-    said = r"made with first_laws.py, and here other_laws.py has a class of that name: give the one"
+    said = (
+        r"made with first_laws.py, and here other_laws.py has a class of that name: give the former"
+    )
     with pytest.raises(InputError, match=said):
         check_sources(versions, "drag = 'MovedLaw'")
 
@@ -131,7 +133,7 @@ def test_code_of_giajax_and_of_its_libraries_has_no_mark():
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("law.txt", "", "is no plug-in: give a Python file"),
+        ("law.txt", "", "is not a plug-in: give a Python file"),
         ("my-law.py", "", "is no plug-in"),
         ("absent_law.py", None, "there is no plug-in .*absent_law.py: correct the path"),
         ("json.py", "", "is called as another module, 'json': give it another name"),

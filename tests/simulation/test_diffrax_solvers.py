@@ -106,8 +106,11 @@ def test_derivatives_follow_from_the_mode(mode, derivative):
         ({"solver": 5}, "there is no solver '5': use one of tsit5, .* or one of diffrax"),
         ({"solver": "euler"}, "there is no solver 'euler': use one of"),
         ({"solver": "Euller()"}, "there is no solver Euller: give one of diffrax, or register"),
-        ({"solver": "Tsit5(order=5)"}, r"Tsit5\(order=5\)' is no solver: write it as Python does"),
-        ({"solver": "open('x').read()"}, "is no solver: write it as Python does"),
+        (
+            {"solver": "Tsit5(order=5)"},
+            r"Tsit5\(order=5\)' is not a solver: write it as Python does",
+        ),
+        ({"solver": "open('x').read()"}, "is not a solver: write it as Python does"),
         ({"solver": "HalfSolver(5)"}, r"there is no solver 'HalfSolver\(5\)'"),
         (
             {"solver": diffrax.ImplicitEuler(), "stepsize_controller": diffrax.StepTo(TIMES)},

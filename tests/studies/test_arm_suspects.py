@@ -83,7 +83,7 @@ SLOW, LONG = pytest.mark.slow, pytest.mark.long
     ("name", "rename", "times"),
     [
         pytest.param(
-            "columns: joint01_command with the other sign",
+            "columns: joint01_command with the opposite sign",
             {},
             {"joint01_command": -1.0},
             id="sign",
@@ -262,7 +262,7 @@ def test_points_that_a_camera_exchanged_or_lost_are_named():
     for changed, name, when in (
         (exchange, "link02 and link04 exchanged", "from 1.2 s to 2.9 s"),
         (take, "link02 shows link04", "from 1.2 s to 2.9 s"),
-        (lose, "link04 stands still", "s to 4 s"),
+        (lose, "link04 does not move", "s to 4 s"),
     ):
         row = first(changed)
         assert (row.path, row.kind) == (f"points: {name}", "points")
@@ -446,4 +446,4 @@ def test_added_mass_in_a_wind_that_changes_is_not_tested_where_it_is_not_neutral
     assert found.significant == ()
     row = found.of("air.added_mass_coefficient")
     assert not row.testable
-    assert "no test can begin there: free it in a fit" in row.note
+    assert "it cannot be tested: free it in a fit" in row.note

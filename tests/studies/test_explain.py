@@ -159,7 +159,9 @@ def test_the_memory_of_a_joint_is_rather_to_be_believed_than_friction():
     assert capabilities.rather(fitted(recorded(seed=5)).model) == {}
 
 
-@pytest.mark.parametrize("where", ["fitting the first model", "testing what the fit held"])
+@pytest.mark.parametrize(
+    "where", ["fitting the first model", "testing fixed and omitted parameters"]
+)
 def test_a_model_that_cannot_be_asked_ends_an_explanation_with_what_there_is(where):
     recording = recorded(seed=5)
 
@@ -179,7 +181,7 @@ def test_a_model_that_cannot_be_asked_ends_an_explanation_with_what_there_is(whe
 def test_without_a_last_fifth_nothing_is_held_out_and_it_says_so():
     recording = dataclasses.replace(recorded(seed=5), name="last")
     record = explain(fitted(recording), recording).record
-    assert record.ending.endswith("nothing could be held out to judge the steps by")
+    assert record.ending.endswith("no data could be held out to validate the steps")
     assert record.steps[0].held_out is None
     assert record.steps[0].values == 360
 
@@ -261,7 +263,12 @@ def test_what_the_last_fifth_alone_shows_is_fitted_by_all_of_the_data():
     # Steps are counted together.
     record = explain(first, recording, max_steps=1).record
     assert (record.ended, record.added) == ("steps", ("late",))
-    for words in ("selected model to all", "selected model held", "with white noise", "all of the"):
+    for words in (
+        "selected model to all",
+        "testing fixed and omitted parameters of the selected",
+        "with white noise",
+        "all of the",
+    ):
         record = explain(first, recording, say=stop_at(words)).record
         assert (record.ended, [step.change for step in record.steps]) == (
             "interrupted",
@@ -279,7 +286,7 @@ def test_time_that_is_up_before_the_last_fit_is_said_and_the_rest_follows(tmp_pa
     assert whole.added == ("late", "kick")
     late = explain(first, recording, folder=tmp_path, budget_s=0.0)
     assert (late.record.ended, late.record.added) == ("budget", ("late",))
-    assert any("the final fit did not come to its end" in one for one in late.result.conditions)
+    assert any("the final fit did not finish" in one for one in late.result.conditions)
     assert explain(first, recording, folder=tmp_path).record == whole
     # Each fit says what it is of.
     counts = []

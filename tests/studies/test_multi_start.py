@@ -71,7 +71,7 @@ def test_starts_are_added_to_a_result():
     assert more.config == whole.config
     one = fit(Decay(), data, start=options["start"])
     assert multi_start(Decay(), data, starts=2, before=one, **options).starts[1].misfit is not None
-    with pytest.raises(InputError, match="began elsewhere: give its seed and spread"):
+    with pytest.raises(InputError, match="has other initial guesses: give its seed and spread"):
         multi_start(Decay(), data, starts=4, before=few, **{**options, "seed": 2})
     with pytest.raises(InputError, match="is of another fit"):
         multi_start(Decay(), data, starts=4, before=few, loss="huber", **options)

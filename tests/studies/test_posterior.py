@@ -251,7 +251,9 @@ def test_the_next_arviz_takes_the_draws_too(drawn):
 
 def test_without_arviz_the_draws_are_numpys(drawn, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "arviz", None)
-    with pytest.raises(InputError, match=r"ArviZ is not installed.*\[posterior\]"):
+    with pytest.raises(
+        InputError, match=r"ArviZ is required for the draws, and is not installed.*\[posterior\]"
+    ):
         drawn.to_arviz()
     name, content = draws_file(drawn)
     (tmp_path / name).write_bytes(content)

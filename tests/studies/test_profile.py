@@ -165,7 +165,7 @@ def test_another_that_meets_its_bound_is_told():
     found = profile(result, data, ["slope"])["slope"]
     first = min(point.value for point in found.points if point.at_bounds == ("bend",))
     assert found.value < first < found.interval[1]
-    assert found.remarks == (f"bend meets its bound at {first:.5g}",)
+    assert found.remarks == (f"bend reaches its bound at {first:.5g}",)
 
 
 def test_what_only_counts_together_has_no_end():
@@ -174,7 +174,7 @@ def test_what_only_counts_together_has_no_end():
     profiles = profile(result, data, ["twin", "idle"])
     assert profiles["twin"].ended[1] == "flat"
     assert profiles["twin"].interval[1] is None
-    assert "the data give it no upper end" in profiles["twin"].remarks
+    assert "the data give no upper limit" in profiles["twin"].remarks
     assert profiles["twin"].interval[0] < 0.1
     assert len(profiles["twin"].points) < 40
     assert profiles["idle"].remarks[0].endswith("no channel responds to it")

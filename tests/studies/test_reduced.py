@@ -111,7 +111,11 @@ def test_what_a_prior_holds_is_imitated_no_more():
     row = suspects(fitted(recording), recording).of("twin")
     assert row.chi_square_drop < 10  # the y coordinate has no twin
     alone = recorded(channels=("tip_z",))
-    assert suspects(fitted(alone), alone).of("twin").note.startswith("what was fitted imitates it")
+    assert (
+        suspects(fitted(alone), alone)
+        .of("twin")
+        .note.startswith("the fitted parameters have the same effect")
+    )
     known = fitted(alone, priors={"amplitude": Prior(2.1, factor=1.02)})
     row = suspects(known, alone).of("twin")
     assert row.testable

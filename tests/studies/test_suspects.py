@@ -57,7 +57,7 @@ def test_what_the_fit_imitates_and_what_nothing_shows_is_not_testable():
     result = fit(Decay(), recording, check=False)
     found = suspects(result, recording)
     assert {row.path: row.note for row in found.untestable} == {
-        "twin": "what was fitted imitates it: only a ratio shows",
+        "twin": "the fitted parameters have the same effect: only a ratio is identifiable",
         "idle": "no channel responds to it",
     }
     assert found.rows == found.untestable
@@ -99,7 +99,11 @@ def test_at_a_bound_only_what_leads_inwards_counts():
     outwards = dataclasses.replace(recording, values=values)
     row = suspects(fitted(outwards), outwards).of("rub")
     assert (row.estimate, row.chi_square_drop, row.p_value) == (0, 0, 1)
-    assert row.note == "held at its bound: tested towards the inside, and the data lead outwards"
+    assert (
+        row.note
+        == "fixed at its bound: tested towards the inside, and the data suggest a value beyond the "
+        "bound"
+    )
 
 
 def test_swapped_axes_are_found_from_where_the_fit_began():
@@ -199,7 +203,10 @@ def test_several_runs_with_states_of_their_own():
     white = {"check": False, "noise_model": "white"}
     result = fit(model, runs, free=FREE, start=start, **white)
     found = suspects(result, runs)
-    assert found.of("offset").note == "what was fitted imitates it: only a ratio shows"
+    assert (
+        found.of("offset").note
+        == "the fitted parameters have the same effect: only a ratio is identifiable"
+    )
     assert found.promising[0].path == "late"
     assert found.parameters == 4
     freed = fit(model, runs, free=[*FREE, "late"], start={**start, "late": 0.02}, **white)
@@ -255,10 +262,10 @@ def test_a_suspect_that_moves_a_parameter_makes_the_verdict_doubtful():
     (reason,) = asked.verdict.reasons
     assert reason.code == "suspect"
     assert reason.sentence.startswith(
-        "offset (or shift[2], which the data can hardly tell from it)"
+        "offset (or shift[2], which the data can hardly distinguish from it)"
     )
-    assert "is held at 0.1 m, and the residuals ask for 0.11" in reason.sentence
-    assert reason.sentence.endswith("fit it, too, by --free amplitude --free decay --free offset")
+    assert "is held at 0.1 m, and the residuals suggest 0.11" in reason.sentence
+    assert reason.sentence.endswith("also fit it, by --free amplitude --free decay --free offset")
     assert asked.headline.startswith("DOUBTFUL MODEL: offset ")
     # Asked again it is the same, and with the suspect free there is none.
     assert with_suspects(asked, recording, parameters_alone=True).verdict == asked.verdict
@@ -473,7 +480,7 @@ def test_a_fit_that_went_astray_is_asked_where_it_began():
     found = suspects(lost, recording)
     first = found.significant[0]
     assert (first.path, first.begun, first.moves) == ("late", True, {})
-    assert any("the fit began with" in row[-1] for row in suspect_rows(found))
+    assert any("the initial values of the fit" in row[-1] for row in suspect_rows(found))
     # Of a fit that cannot be evaluated where it ended, nothing is said of how much it leaves.
     assert found.judge(lost).reasons == lost.verdict.reasons
     # What is fitted from there begins where the fit did.

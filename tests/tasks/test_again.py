@@ -52,7 +52,7 @@ def test_the_same_fit_again_has_the_same_numbers(path):
     assert after.pop("task")["inputs"] == before.pop("task")["inputs"]
     assert after == before
     stored = stored_result("giajax-out/loops_fit/result.json")[1]
-    assert compared(second, stored) == "the numbers are the same, bit for bit"
+    assert compared(second, stored) == "all numbers are identical, bit for bit"
     stored["parameters"]["elastic"]["value"] *= 1 + 1e-9
     assert "elastic differs by 1.0e-09 of its value" in compared(second, stored)
 
@@ -120,7 +120,7 @@ def unfinished(tmp_path_factory):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda: os.rename("loops.csv", "gone.csv"), "loops.csv, which .* is not there"),
+        (lambda: os.rename("loops.csv", "gone.csv"), "loops.csv, which .* does not exist"),
         (lambda: append("loops.csv", "0.5,0.4\n"), "loops.csv has changed"),
         (lambda: append("other.csv", "0.5,0.4\n"), "other.csv has changed"),
         (lambda: append("loops_fit.toml", "# more\n"), "loops_fit.toml has changed"),
@@ -153,7 +153,7 @@ def test_another_file_of_a_registered_class_is_refused(unfinished, tmp_path, mon
         record = json.loads(text)
         record["versions"][Path(__file__).name] = "sha256 of another one"
         path.write_text("\n".join([json.dumps(record), *lines]))
-    sentence = "test_again.py has changed since: give the one of then, or fit anew"
+    sentence = "test_again.py has changed since: give the former version, or fit again"
     with pytest.raises(InputError, match=sentence):
         FitTask.again("out")
     with pytest.raises(InputError, match=sentence):
@@ -234,7 +234,7 @@ def test_a_journal_of_a_fit_that_was_cut_off_is_not_written_over(path):
         ready.run(crash, journal=journal.of)
     assert len(read_journal(_folder(ready)).of(1).lines) == 3
     with (
-        pytest.raises(InputError, match="cut off: go on with giajax fit --resume"),
+        pytest.raises(InputError, match="interrupted fit: continue with giajax fit --resume"),
         ready.open_journal(_folder(ready)),
     ):
         pass
@@ -388,7 +388,7 @@ def test_initial_states_of_runs_are_begun_from_by_name(tmp_path):
 
 
 def test_starts_are_added_to_a_fit_that_held_something_out(path):
-    """The old end, which is the best, is evaluated anew: what is held out is predicted by it."""
+    """The old end, which is the best, is evaluated anew: the held-out data are predicted by it."""
     first = written(FitTask.load(path).on_top(max_iterations=40, hold_out=["last"]))
     (held,) = first.held_out
     more = FitTask.again("giajax-out/loops_fit").on_top(starts=2, spread=0.1)

@@ -96,9 +96,9 @@ def test_the_same_fit_again_has_the_same_numbers(task):
     before = stored_result(task.out)[1]
     assert again.held_out == first.held_out
     assert again.verdict == first.verdict
-    assert compared(again, before) == "the numbers are the same, bit for bit"
+    assert compared(again, before) == "all numbers are identical, bit for bit"
     before["held_out"][0]["channels"]["output"]["rmse"] *= 1 + 1e-9
-    assert "what follows from them is not" in compared(again, before)
+    assert "quantities derived from them differ" in compared(again, before)
     # Where the new fit begins is another question.
     whole = FitTask.again(task.out).on_top(hold_out=[])
     assert len(whole.prepare().runs) == 2
@@ -120,9 +120,9 @@ def test_a_journal_is_of_one_hold_out(task):
 @pytest.mark.parametrize(
     ("names", "words"),
     [
-        (["others"], "which is no run and no channel: name a run (loops, other), a channel"),
-        (["loops", "other"], "nothing is left to fit"),
-        (["output"], "nothing is left to fit"),
+        (["others"], "but is neither a run nor a channel: name a run (loops, other), a channel"),
+        (["loops", "other"], "none is left to fit"),
+        (["output"], "none is left to fit"),
         (["last:2"], "a number between 0 and 1"),
         (["last:0.99"], "cannot determine"),
     ],
@@ -172,7 +172,7 @@ def test_the_command_line(task, capsys):
     said = capsys.readouterr().err
     assert "holds the result of other data" in said
     assert main([*command, *held[:2], *held[4:], "--no-figures"]) == 2
-    assert "what is held out" in capsys.readouterr().err
+    assert "the held-out data" in capsys.readouterr().err
     assert (
         main(["suspects", "out", "--ladder", "--max-steps", "1", "--out", "asked", "--quiet"]) == 0
     )
@@ -231,7 +231,7 @@ def test_what_an_arm_lacks_shows_where_it_was_not_fitted(tmp_path):
 def test_a_result_that_does_not_say_what_was_held_out(task, read, damage):
     result = task.on_top(hold_out=["other"]).run(check=False)
     damaged = dataclasses.replace(result, config={**result.config, **damage})
-    with pytest.raises(InputError, match="fit the data anew"):
+    with pytest.raises(InputError, match="fit the data again"):
         read(damaged)
 
 
@@ -267,8 +267,8 @@ def test_an_interruption_of_the_judgement_keeps_what_was_held_out(task, monkeypa
 def test_another_number_of_runs_is_another_fit(task):
     result = written(task.on_top(hold_out=["other"]), check=False)
     before = stored_result(task.out)[1]
-    assert compared(result, before) == "the numbers are the same, bit for bit"
+    assert compared(result, before) == "all numbers are identical, bit for bit"
     before["held_out"] *= 2
     assert compared(result, before) == (
-        "it is not the same fit: 1 runs with a part held out now, and 2 before"
+        "the fits differ: 1 runs with a part held out now, and 2 before"
     )

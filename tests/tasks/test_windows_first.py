@@ -59,7 +59,7 @@ def test_a_frequency_that_is_far_off_is_found(recording, tmp_path, capsys):
     assert main(["fit", "--again", str(out), *quick]) == 0
     again = capsys.readouterr()
     assert "windows" not in again.err
-    assert "the numbers are the same, bit for bit" in again.out
+    assert "all numbers are identical, bit for bit" in again.out
 
 
 @pytest.mark.slow

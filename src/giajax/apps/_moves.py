@@ -111,8 +111,8 @@ class Rest(NamedTuple):
         squares, turned = np.linalg.eigh(np.linalg.solve(root, half.T))
         if squares[0] <= 0:
             raise InputError(
-                "the arm is not stable where the command ends: end it elsewhere, or correct "
-                "stiffness and gravity"
+                "the arm is not stable at the end of the command: choose another final pose, or "
+                "correct stiffness and gravity"
             )
         return np.sqrt(squares), np.linalg.solve(root.T, turned)
 
@@ -160,7 +160,7 @@ def found_rest(arm: Arm, commanded: np.ndarray, where: str = "where the command 
     """
     rest = rest_at(arm, jnp.asarray(commanded, jnp.result_type(float)))
     if not rest.known:
-        raise InputError(f"no rest of the arm is found {where}: choose other angles there")
+        raise InputError(f"no equilibrium of the arm was found {where}: choose other angles there")
     parts: Any = map(np.asarray, rest)
     return Rest(*parts)
 

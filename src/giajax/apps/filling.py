@@ -297,7 +297,7 @@ def fill(
     found = _tried(made, limit, _TOLERANCE, _shares(made, share))
     if not bool(found.succeeded):
         raise InputError(
-            f"the filling cannot be followed beyond {float(found.times[-1]):.3g} s, after "
+            f"the simulation of the filling fails beyond {float(found.times[-1]):.3g} s, after "
             f"{int(found.steps)} steps: give narrower holes, or a larger skin_slack"
         )
     here, links = made.bag_of_link, made.arm.links

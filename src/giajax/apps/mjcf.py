@@ -66,8 +66,8 @@ def read_mjcf(
         parameters: values by path, SI, as of `giajax.chain`, on top of those of the file.
 
     Raises:
-        InputError: MuJoCo is not installed or cannot read the file; a tree; a joint that is no
-            hinge or lies off the line of the others; a link that nothing says the size of.
+        InputError: MuJoCo is not installed or cannot read the file; a tree; a joint that is not
+            a hinge or lies off the line of the others; a link that nothing says the size of.
     """
     mujoco = _mujoco()
     read_text(Path(path), RESULT_BYTES, "XML", "an MJCF or URDF file")
@@ -93,7 +93,7 @@ def read_mjcf(
         joint = int(np.argmax(off > _ON_LINE * size))
         raise InputError(
             f"{path}: the joint '{names[joint]}' is {off[joint]:.3g} m off the line of the others, "
-            "and links are straight at angles of zero: move it, or set its ref"
+            "but links are straight at angles of zero: move it, or set its ref"
         )
     length = np.diff(([*anchors, ends] - anchors[0]) @ along)
     if not np.all(length > 0):
@@ -109,7 +109,7 @@ def read_mjcf(
     if diameter is None and not all(thick):
         joint = thick.index(0.0)
         raise InputError(
-            f"{path}: no geom says how thick the link of the joint '{names[joint]}' is: "
+            f"{path}: no geom states the diameter of the link of the joint '{names[joint]}' is: "
             "give the diameter of the links"
         )
     mass, centre, inertia = (np.array(each) for each in zip(*parts, strict=True))
@@ -161,7 +161,7 @@ def _chain_of(model: "mujoco.MjModel", path: str | Path) -> list[int]:
     for joint in range(model.njnt):
         if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
             name = model.joint(joint).name
-            raise InputError(f"{path}: the joint '{name}' is no hinge: an arm has hinges alone")
+            raise InputError(f"{path}: the joint '{name}' is not a hinge: an arm has only hinges")
     links = [int(body) for body in model.jnt_bodyid]
     before = 0
     for body in links:
@@ -190,15 +190,15 @@ def _lost(model: "mujoco.MjModel") -> Iterator[str]:
     counts = {"actuators": model.nu, "tendons": model.ntendon, "equalities": model.neq}
     yield from (f"the file's {name} are lost" for name, count in counts.items() if count)
     if model.opt.density or model.opt.viscosity:
-        yield "the medium of MuJoCo is lost: the air is giajax's"
+        yield "the medium of MuJoCo is lost: giajax computes the air forces"
     if np.any(model.body_gravcomp):
         yield "gravcomp of bodies is lost"
     # Of version 4 on.
     for name in ("jnt_stiffnesspoly", "dof_dampingpoly"):
         if np.any(getattr(model, name, 0.0)):
-            yield "of polynomials of stiffness and damping all but the linear part is lost"
+            yield "only the linear part of stiffness and damping polynomials is kept"
     if np.any((model.geom_contype != 0) | (model.geom_conaffinity != 0)):
-        yield "geoms touch nothing: obstacles are stated in [arm]"
+        yield "contacts of geoms are lost: state obstacles in [arm]"
 
 
 def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, Any]:
@@ -227,7 +227,7 @@ def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, 
             lost.append("beside joints with limits, those of the others are 180 deg")
     if np.any(model.dof_frictionloss) and not _disabled(model, "FRICTIONLOSS"):
         found["joints.friction"] = np.array(model.dof_frictionloss)
-        lost.append("frictionloss, which sticks at rest, is a smooth friction here")
+        lost.append("frictionloss, which sticks at rest, becomes a smooth friction")
     return found
 
 
@@ -427,14 +427,14 @@ def _not_exported(arm: Arm) -> Iterator[str]:
         "added mass": arm.air.added_mass_coefficient is not None,
         "the dependence of drag on the Reynolds number": arm.air.drag_curve != "constant",
         "the law of drag": arm.air.law is not None,
-        "the wind that is a function of place and time": arm.air.wind_field is not None,
-        "what joints have beside springs, dampers and friction": bool(arm.joints.further_laws.laws),
+        "the wind field over position and time": arm.air.wind_field is not None,
+        "joint laws other than springs, dampers and friction": bool(arm.joints.further_laws.laws),
         "the gain of the drives": arm.joints.drive_gain is not None,
         "the lag of the drives": arm.joints.drive_lag is not None,
         "the saturation of the drives": arm.joints.drive_saturation is not None,
         "the drift of lift": arm.buoyancy is not None and arm.buoyancy.imbalance_drift is not None,
         "the drift of stiffness": arm.joints.stiffness_drift is not None,
-        "muscles, and what balloons resist": arm.pneumatics is not None,
+        "muscles, and the bending resistance of balloons": arm.pneumatics is not None,
         "obstacles": arm.contact is not None,
         "drag of point masses": points is not None and points.drag_area is not None,
     }

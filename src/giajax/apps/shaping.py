@@ -394,7 +394,7 @@ def shape_command(
     tips = np.asarray(_rest_tips(arm, jnp.asarray(command.angles, dtype=jnp.result_type(float))))
     travel = float(np.max(np.linalg.norm(tips - tips[-1], axis=1)))
     if not travel > 1e-6:
-        raise InputError("the command does not move the tip: give one that does")
+        raise InputError("the command does not move the tip: give a command that does")
     modes = modes_after(arm, command)
     worth = _chosen(modes, travel)
     wrong = [softer(stated, 1 - WRONG).arm, softer(stated, 1 + WRONG).arm]
@@ -408,14 +408,14 @@ def shape_command(
         rows.append(study.row(name, study.tuned(name) if tuned else study.usual(name)))
     if modes[0].damping > _MOST_DAMPED:
         notes.append(
-            "the air damps a swing of this size so much that the arm creeps to its rest, and does "
-            "not swing about it"
+            "a swing of this size is overdamped by the air: the arm approaches its rest without "
+            "swinging"
         )
     if lost := len(drawn) - min(len(row.drawn) for row in rows):
         notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")
     soonest, *others = [np.inf if row.settled is None else row.settled for row in rows]
     if soonest <= min(others, default=np.inf) and np.isfinite(soonest):
-        notes.append("no shaped command brings the tip to rest sooner than the command as it was")
+        notes.append("no shaped command brings the tip to rest sooner than the original command")
     return Shaping(tuple(rows), tuple(worth), travel, tuple(notes))
 
 
@@ -493,8 +493,8 @@ class _Study:
         count = len(self.arms)
         if not np.all(np.isfinite(left[0, :count])):
             raise InputError(
-                "the motion of the arm cannot be simulated, as it is or with a stiffness a quarter "
-                "off: give a command that it can follow"
+                "the motion of the arm cannot be simulated with its stiffness or with one changed "
+                "by a quarter: give a command that it can follow"
             )
         sound = np.flatnonzero(np.isfinite(left[0]))[count:]
         return Shaped(

@@ -317,7 +317,7 @@ def unroll(unrolling: Unrolling | None = None, *, limit: float = LIMIT) -> Unrol
     found = _tried(made, limit)
     if not bool(found.succeeded):
         raise InputError(
-            f"the unrolling cannot be followed beyond {float(found.times[-1]):.3g} s, after "
+            f"the simulation of the unrolling fails beyond {float(found.times[-1]):.3g} s, after "
             f"{int(found.steps)} steps: give a larger film.loss, or less film.peel"
         )
     finished = bool(found.finished)

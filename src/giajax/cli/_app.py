@@ -29,62 +29,63 @@ for _path in sorted(Path(__file__).parent.glob("_[a-z]*.py")):
 _EXAMPLES = """\b
 Examples:
   giajax check --data run.csv
-                            what a recording holds
+                            summarise a recording and check its values
   giajax init --data run.csv
-                            write a sidecar for it, to fill in
-  giajax parameters         what a fit can find, with unit and bounds
+                            write a sidecar template for it
+  giajax parameters         list the parameters, with unit and bounds
   giajax simulate --ramp 1=30 --to run.csv
-                            a run made by the model
-  giajax examples           runs and fit definitions to start from
+                            simulate a run
+  giajax examples           list the runs and fit definitions that ship
   giajax joint --out DIR    one joint at rest: paths, forces, equilibria
   giajax fit --data run.csv
                             fit drag, stiffness and damping to it
   giajax report giajax-out/run
-                            the fit as a page: whether to believe it, and why
+                            write a page: verdict, estimates, residuals
   giajax view giajax-out/run
-                            the arm as fitted, and what was seen, in a browser
+                            show the fitted arm and the recorded markers
   giajax compare giajax-out/run giajax-out/other
-                            whether two fits agree to within their errors
+                            test whether two fits agree to within their errors
   giajax suspects giajax-out/run
-                            what of it the model leaves out
+                            test for effects that the model omits
   giajax bootstrap giajax-out/run
-                            whether its errors are right: the fit repeated
+                            check the standard errors by repeating the fit
   giajax influence giajax-out/run
-                            what each marker and run does to its numbers
+                            show how each marker and run changes the estimates
   giajax sweep plan.toml --workers 4
-                            many fits: other values, runs or options each time
+                            run many fits with other values, runs or options
   giajax profile giajax-out/run
-                            how far each parameter can go, bounds and all
+                            profile-likelihood intervals of the parameters
   giajax posterior giajax-out/run
-                            what is known of its parameters, by sampling
+                            sample the posterior of the parameters
   giajax predict giajax-out/run --data other.csv
-                            how well the fit predicts another run
+                            compute how well the fit predicts another run
   giajax choose --data loops.csv
-                            which hysteresis model describes a joint
+                            select a hysteresis model for a joint
   giajax compensate fit --target target.csv --to command.csv
-                            commands that undo the hysteresis
+                            compute commands that compensate the hysteresis
   giajax design giajax-out/run --parameter air.drag_coefficient --out next
-                            the next experiment: what to command and to film
+                            design the next experiment: command and markers
   giajax shape command.csv --model giajax-out/run --out shaped
-                            a command after which the arm does not swing
+                            shape a command to reduce the residual swing
   giajax plan --model giajax-out/run --pose 1=20 --out planned
-                            the fastest command to a pose within the limits
+                            plan the fastest command to a pose within limits
   giajax track run.csv --model giajax-out/run --wind 0,0.2,0 --out tracked
-                            where the arm was, from late and noisy pictures
+                            estimate the arm's motion from noisy measurements
   giajax wind --data resting.csv --wind 0,0.2,0
-                            the gusts that a resting arm undulates in
-  giajax fill --out DIR     20 balloons filled with helium: fullness, lift
+                            fit mean flow and gusts to a resting arm
+  giajax fill --out DIR     fill 20 balloons with helium: fullness, lift
   giajax mission missions/naraha.toml
-                            an operator, a camera at the tip, a 2 m opening
+                            steer the tip through a 2 m opening by camera
   giajax life missions/naraha.toml --out DIR
-                            from the roll to the opening and back
+                            unroll, fill, fly the mission and deflate
   giajax hysteresis --out DIR
-                            the paper's 1-link experiment, simulated
+                            simulate the paper's experiment on one link
   giajax paper all --out DIR
-                            the paper's figures and tables, made again
+                            reproduce the paper's figures and tables
 
-A run is a CSV file with one column a channel (such as time_s, joint01_command_deg
-or link06_z_m) and, beside it, an optional sidecar of the same name ending .toml."""
+A run is a CSV file with one column for each channel (such as time_s,
+joint01_command_deg or link06_z_m). A sidecar file of the same name with the ending
+.toml may describe the run."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

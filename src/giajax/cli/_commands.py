@@ -292,7 +292,7 @@ class Translation:
         for form, news in self._found.items():
             for new in self._given.intersection(news):
                 old, now = forms[form]
-                many = "" if form else f"{shown(self._word)} is one word too many: "
+                many = "" if form else f"{shown(self._word)} is an unexpected argument: "
                 raise InputError(
                     f"{many}{old} is now {now}, and {new} is given, too: leave one out"
                 )
@@ -304,7 +304,7 @@ class Translation:
             self.notes = []
 
     def _argument(self, word: str, words: list[str]) -> None:
-        """Take a word that is no option, which may be one too many as it always was."""
+        """Take a word that is not an option, which may be one too many as it always was."""
         option = self._registered.old_words
         self._places -= 1
         if self._places >= 0 or not option:
@@ -471,7 +471,7 @@ def run(command: Any, arguments: list[str]) -> int:
 
     The exit status is 0, or that of the command's `typer.Exit(status)`; 2 for bad input or usage;
     4 for what else goes wrong, whose traceback is in a file, or where standard output cannot be
-    written; 129, 130 or 143 by a signal; 141 where nobody reads standard output to its end.
+    written; 129, 130 or 143 by a signal; 141 if standard output is closed before its end.
     """
     out, err = Output(sys.stdout), Output(sys.stderr)
     with contextlib.redirect_stdout(cast(Any, out)), contextlib.redirect_stderr(cast(Any, err)):
@@ -481,8 +481,8 @@ def run(command: Any, arguments: list[str]) -> int:
             return status or BROKEN_PIPE
         if out.error is not None:
             _say(
-                f"standard output cannot be written ({out.error.strerror}): what it lacks is lost, "
-                "and files that were written are whole",
+                f"standard output cannot be written ({out.error.strerror}): the rest of the output "
+                "is lost, and the files that were written are complete",
                 BROKEN,
             )
             return status or BROKEN
@@ -502,7 +502,7 @@ def _ended(command: Any, arguments: list[str]) -> int:
         return _say("interrupted", ended.status)
     except SystemExit as error:
         why = f"a plug-in ended the program (SystemExit: {error.code})"
-        return _say(f"{why}: let it raise an error that says what is wrong", BAD_INPUT)
+        return _say(f"{why}: raise an exception with a message in the plug-in", BAD_INPUT)
     except (KeyboardInterrupt, GeneratorExit):
         raise
     except BaseException as error:  # Polars' PanicException is no Exception
@@ -511,7 +511,7 @@ def _ended(command: Any, arguments: list[str]) -> int:
         if isinstance(error, OSError) and isinstance(error.filename, str):
             # Its name is too long, another program took it away, or a disk is at fault.
             why = f"{error.filename} cannot be used ({error.strerror})"
-            return _say(f"{why}: give another path, or correct what names it", BAD_INPUT)
+            return _say(f"{why}: give another path, or correct the file that names it", BAD_INPUT)
         return _say(_unexpected(error, arguments), BROKEN)
     # Without standalone mode typer returns the status of `typer.Exit`, else what the command did.
     return result if isinstance(result, int) else 0
@@ -544,7 +544,7 @@ def _usage(error: Any) -> str:
     # Click says two sentences where it has a suggestion, each with its capital.
     sentence = re.sub(r"(^|\. )([A-Z])", lambda m: (m[1] and ": ") + m[2].lower(), sentence)
     command = error.ctx.command_path if error.ctx is not None else "giajax"
-    return f"{sentence}; '{command} --help' shows what there is"
+    return f"{sentence}; '{command} --help' lists what it accepts"
 
 
 # Options that many commands have, said once.
@@ -587,28 +587,28 @@ def _cell(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-Browser = Annotated[bool, "Open a browser, or only say where."]
-Digits = Annotated[int, "N", "Significant digits that are written.", 3, 17]
-Force = Annotated[bool, "Write over files."]
-Host = Annotated[str, "ADDRESS", "Where to listen; 0.0.0.0: everywhere."]
+Browser = Annotated[bool, "Open a browser, or only print the address."]
+Digits = Annotated[int, "N", "Number of significant digits in files.", 3, 17]
+Force = Annotated[bool, "Overwrite existing files."]
+Host = Annotated[str, "ADDRESS", "Address to listen on; 0.0.0.0: all interfaces."]
 Json = Annotated[bool, "--json", "Print JSON instead of tables."]
 Links = Annotated[int | None, "N", "Number of links."]
-OnlyChannels = Annotated[Texts, "CHANNEL", "Only this channel, without its unit."]
-Port = Annotated[int, "N", "Where to listen; 0 for a free one."]
+OnlyChannels = Annotated[Texts, "CHANNEL", "Use only this channel, named without its unit."]
+Port = Annotated[int, "N", "Port to listen on; 0: any free port."]
 Quiet = Annotated[bool, "Print errors only."]
-Replayed = Annotated[Path | None, "FILE", "A run whose commands and wind are used instead."]
+Replayed = Annotated[Path | None, "FILE", "Take commands and wind from this run."]
 Settings = Annotated[Texts, "PATH=VALUE", "A parameter's value.", "--set"]
-Solver = Annotated[str, "NAME", "Integration method, such as tsit5, springs5."]
+Solver = Annotated[str, "NAME", "Integration method, such as tsit5 or springs5."]
 Tolerance = Annotated[float, "TOL", "Tolerance of the integration."]
-ToRun = Annotated[Path, "RUN.csv", "The run to write."]
-Wind = Annotated[str | None, "X,Y,Z", "Constant velocity of the air, m/s."]
+ToRun = Annotated[Path, "RUN.csv", "File of the run to write."]
+Wind = Annotated[str | None, "X,Y,Z", "Constant velocity of the air (m/s)."]
 
 Renamed = Annotated[Texts, "OLD=NEW", "Read column OLD of the files as NEW."]
 
 Cores = Annotated[
     int | None,
     typer.Option(
-        metavar="N", min=1, envvar=CORES_VARIABLE, help="Compute on so many cores (all of them)."
+        metavar="N", min=1, envvar=CORES_VARIABLE, help="Number of cores to use (all of them)."
     ),
 ]
 
@@ -651,7 +651,7 @@ def failed_simulation(options: str) -> Iterator[None]:
 def check_quiet(quiet: bool, *, written: Any, as_json: bool = False, by: str) -> None:
     """Refuse a command that would compute, and neither print nor write what it found."""
     if quiet and written is None and not as_json:
-        raise InputError(f"--quiet prints no table, and nothing is written: add {by}")
+        raise InputError(f"--quiet prints no table and no file is written: add {by}")
 
 
 def say_progress(quiet: bool) -> Callable[[str], None] | None:
@@ -660,13 +660,13 @@ def say_progress(quiet: bool) -> Callable[[str], None] | None:
 
 
 def say_served(page: Any, whoever: str, end: str, *, browser: bool, quiet: bool) -> None:
-    """Say where a page is, what somebody else could do with its address, and how it ends."""
+    """Say where a page is, what others can do with its address, and how it ends."""
     from ..apps.viewer import open_in_browser
 
     if not quiet:
         typer.echo(f"open {page.address}")
         if page.is_open:
-            typer.echo(f"whoever has this address {whoever}, from other machines, too")
+            typer.echo(f"anyone who has this address {whoever}, also from other machines")
         typer.echo(f"Ctrl-C {end}")
     if browser:
         open_in_browser(page.address)
@@ -696,10 +696,10 @@ def origin(context: typer.Context) -> str:
     return " ".join(words)
 
 
-Workers = Annotated[int | None, "N", "Compute in so many processes of this machine (1).", 1]
+Workers = Annotated[int | None, "N", "Number of processes on this machine (1).", 1]
 
 Scheduler = Annotated[
-    str | None, "ADDRESS", "Compute on a cluster of dask.distributed: tcp://host:8786."
+    str | None, "ADDRESS", "Compute on a dask.distributed cluster: tcp://host:8786."
 ]
 
 STARTS = "starts"  # folder of a file for each start of a fit that workers do, beside its journal
@@ -716,7 +716,7 @@ def end_if_stopped(folder: Path | None) -> None:
     """
     if is_stopped():
         how = "with --force" if folder is not None else "with --folder DIR, and --force,"
-        typer.echo(f"giajax: stopped: the same command {how} goes on another time", err=True)
+        typer.echo(f"giajax: stopped: run the same command {how} to continue", err=True)
         raise typer.Exit(stopped_status())
 
 
@@ -732,7 +732,7 @@ def workers_of_starts(
         yield {}
         return
     if starts < 2:
-        raise InputError("there is one start, which one process fits: add --starts N")
+        raise InputError("a single start needs only one process: add --starts N")
     from ..runtime.execution import open_executor
 
     with open_executor(workers, scheduler) as executor:
@@ -760,7 +760,7 @@ class ManyProgress:
     def __call__(self, outcome: "Outcome", done: int, total: int) -> None:
         self._failed += outcome.status == "failed"
         if self._first is None and done > 1:
-            typer.echo(f"{done - 1} of {total} {self._what} are there already", err=True)
+            typer.echo(f"{done - 1} of {total} {self._what} exist already", err=True)
         self.after(done, total)
 
     def after(self, done: int, total: int) -> None:

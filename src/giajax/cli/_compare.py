@@ -27,11 +27,11 @@ from ._on_result import OnResult, on_result
     """\b
 Examples:
   giajax compare giajax-out/monday giajax-out/tuesday
-                            whether two fits agree to within their errors
+                            test whether two fits agree to within their errors
   giajax compare giajax-out/white giajax-out/correlated --json
                             the same as JSON
   giajax compare giajax-out/a giajax-out/b giajax-out/c --page compare.html
-                            three fits, and a page with their pictures
+                            three fits, and a page with figures
 
 RESULT is the folder of a fit, or its result.json. Differences are from the
 first result, in joint standard errors. BIC is shown where all were fitted to
@@ -40,19 +40,21 @@ the same values with the same noise and loss; where not, a line says so.""",
     old={"--out": "--page"},
 )
 def compare(
-    results: Annotated[list[Path], argument("RESULT", "At least two fits; see below.")],
+    results: Annotated[list[Path], argument("RESULT", "Two or more fits; see below.")],
     as_json: Json = False,
     page: Annotated[Path | None, "FILE.html", "Write a page for a browser."] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show what several fits say of the same parameters.
+    """Compare the estimates of several fits.
 
-    Whether they agree to within their errors, and which describes the data better.
+    Shows whether they agree to within their errors, and which fit describes the data better.
     """
     check_quiet(quiet, written=page, as_json=as_json, by="--page FILE.html or --json")
     if len(results) < 2:
-        raise typer.BadParameter("one result has nothing to be compared with: give two or more")
+        raise typer.BadParameter(
+            "one result is given, but a comparison needs at least two: give another"
+        )
     from ..recordings import check_output_files, stored_result, write_files
 
     # What is no result is refused before JAX is imported, which takes seconds.
@@ -100,33 +102,33 @@ _ENDS = {"not_converged": "NOT CONVERGED"}
     """\b
 Examples:
   giajax choose --data loops.csv
-                            by the last part of the loops
+                            validated on the last part of the loops
   giajax choose --data loops.csv --validation other.csv
-                            by another recording
+                            validated on another recording
   giajax choose --data loops.csv --only preisach --only bouc_wen
-                            of these two alone
+                            only these two models
 
-The best model on the loops that judge comes first; fits that did not converge come last,
-whatever their errors. AIC and BIC are of the fitted part, each less
-that of the best; a large difference on the part that judges and a small one here means a model
-that describes what it saw and no more.""",
+The model with the smallest error on the held-out loops comes first; fits that did
+not converge come last, whatever their errors. AIC and BIC refer to the fitted
+part and are relative to the best model. A small difference in BIC with a large
+difference on the held-out loops indicates overfitting.""",
     group="fit",
     old={"--held-out": "--validation"},
 )
 def choose(
-    data: Annotated[list[Path], "RUN.csv", "A run to fit to."],
-    validation: Annotated[Paths, "RUN.csv", "A run to judge by."] = None,
+    data: Annotated[list[Path], "RUN.csv", "A run to fit the models to."],
+    validation: Annotated[Paths, "RUN.csv", "A run for validation."] = None,
     fraction: Annotated[
-        float, "F", "Without --validation: last part of each run to judge by."
+        float, "F", "Without --validation: held-out fraction at the end of each run."
     ] = 0.3,
-    only: Annotated[Texts, "NAME", "Compare only these."] = None,
+    only: Annotated[Texts, "NAME", "Compare only this model."] = None,
     rename: Renamed = None,
     as_json: Json = False,
     quiet: Annotated[bool, "No progress."] = False,
 ) -> None:
-    """Compare models of hysteresis on loops that judge them.
+    """Compare models of hysteresis on held-out loops.
 
-    Each is fitted first, to other loops than those.
+    Each model is first fitted to other loops.
     """
     from ..recordings import parse_rename, read_run
 
@@ -166,21 +168,21 @@ Examples:
   giajax report giajax-out/run
                             report.html beside the result
   giajax report giajax-out/run --page for_the_group.html
-                            a page elsewhere
+                            another file for the page
   giajax report giajax-out/run --data elsewhere/run.csv
-                            of a run that has moved since it was fitted
+                            for a run file that was moved after the fit
 
 RESULT is the folder of a fit, or its result.json. The page is one file that
-opens without a network: the verdict, the parameters, what limits them, recorded
-against fitted values, the arm as it moves, and where all of it comes from.""",
+opens without a network: verdict, parameters and their limits, recorded
+and fitted values, an animation of the arm, and the provenance.""",
     group="first",
-    page="The page (report.html beside the result).",
+    page="File of the page (report.html beside the result).",
     old={"--out": "--page"},
 )
 def report(given: OnResult) -> None:
-    """Write a result as a page for a browser.
+    """Write an HTML report of a fit.
 
-    One file that says first whether to believe the numbers.
+    It begins with the verdict on the fit.
     """
     from ..recordings import check_output_files, write_files
     from ..tasks import held_out_runs

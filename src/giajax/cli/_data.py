@@ -30,16 +30,16 @@ _ODD = 3  # with --strict
     """\b
 Examples:
   giajax check --data run.csv
-                            channels, samples, and what is odd
+                            channels, samples and implausible values
   giajax check --data camera.csv --rename t=time_s --rename "z 6"=link06_z_m
-                            with other names of columns
+                            with renamed columns
   giajax check --data run.csv --strict --json
-                            for a script
+                            JSON output for a script
 
 \b
-What is odd comes first, as notes: units, signs, labels, lost cells, glitches
-and constants, by their magnitudes; nothing is changed.
-Exit status: 0; 2 bad input or usage; 3 with --strict, where something is odd.""",
+Notes on implausible units, signs, labels, lost cells, glitches and constants
+come first. They are judged by magnitude; no file is changed.
+Exit status: 0; 2 bad input or usage; 3 with --strict, if implausible.""",
     group="first",
     old_words="--data",
 )
@@ -47,12 +47,12 @@ def check(
     data: Annotated[Path, "RUN.csv", "The run, a .csv or .parquet file."],
     rename: Renamed = None,
     as_json: Json = False,
-    strict: Annotated[bool, "End with status 3 where something is odd."] = False,
+    strict: Annotated[bool, "Exit with status 3 if something is implausible."] = False,
 ) -> None:
-    """Say what a run holds, and what of it is odd.
+    """Summarise a run and report implausible values.
 
-    Model, samples, commands, channels with their range and noise, what is rarely so in a right
-    recording, and what is assumed because the sidecar does not state it.
+    Shows the model, samples, commands, channels with their range and noise, values that are
+    unlikely in a correct recording, and the assumptions where the sidecar states nothing.
     """
     from ..recordings import describe, parse_rename, read_run
 
@@ -117,7 +117,7 @@ def _row(channel: dict[str, Any]) -> list[Any]:
     """\b
 Example:
   giajax init --data run.csv
-                            writes run.toml; then edit it, and see:
+                            write run.toml; edit it, then run
                             giajax check --data run.csv""",
     group="data",
     old_words="--data",
@@ -128,9 +128,9 @@ def init(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a sidecar to fill in.
+    """Write a sidecar template for a run.
 
-    It states what the file tells, and offers every other key that applies, with its unit and
+    It states what the run file implies, and lists every other applicable key, with unit and
     meaning, as a comment.
     """
     from ..recordings import parse_rename, sidecar_path, sidecar_template, write_files
@@ -140,7 +140,7 @@ def init(
     write_files({sidecar: text.encode()}, force=force)
     words = ["--data", str(data), *(word for pair in rename or [] for word in ("--rename", pair))]
     if not quiet:
-        typer.echo(f"wrote {sidecar}: fill it in, then see: giajax check {shlex.join(words)}")
+        typer.echo(f"wrote {sidecar}: fill it in, then run: giajax check {shlex.join(words)}")
 
 
 @command(
@@ -148,25 +148,25 @@ def init(
 Examples:
   giajax import filmDLC_resnet50.csv --frame-rate 60 --camera side \\
       --point elbow=link03 --point tip=tip --command log.csv --to run.csv
-                            points of DeepLabCut, with commands of a log
+                            points from DeepLabCut, with commands from a log
   giajax import tracker.txt --unit m --point mass_A=tip --to run.csv
-                            a point of Tracker, in metres
+                            a point from Tracker, in metres
   giajax import trajectories.csv --origin 0,1079 --camera side \\
       --point "Marker 1"=link03 --to run.csv
-                            a point of Kinovea, in px
+                            a point from Kinovea, in px
   giajax import take.csv --point Arm:tip=tip --from-time 2 --until 20 \\
-      --to run.csv          a part of a take of OptiTrack Motive
+      --to run.csv          part of an OptiTrack Motive take
   giajax import RawData.csv --point Gyroscope=imu01 --to run.csv
                             the gyroscope of a phone
   giajax import bag --point /joint_states/shoulder=joint01 --to run.csv \\
       --point "/commands/shoulder position=joint01_command"
-                            a bag of ROS 2
+                            a ROS 2 bag
   giajax import spreadsheet.csv --rename t=time_s --ignore "note*" \\
-      --to run.csv          a table of known columns
+      --to run.csv          a table with known column names
 
 \b
-Then: giajax init --data run.csv, which offers each camera its section, and
-giajax fit --data run.csv.""",
+Next: giajax init --data run.csv writes a section for each camera, and
+giajax fit --data run.csv fits the run.""",
     group="data",
     old={
         "--out": "--to",
@@ -180,60 +180,66 @@ def import_(
         Path,
         argument(
             "FILE",
-            "A table of DeepLabCut, SLEAP, anipose, Kinovea, Tracker, OptiTrack Motive or phyphox, "
-            "or one whose columns giajax knows, with commas, semicolons or tabs between cells; or "
-            "a bag of ROS 2, a folder, .mcap or .db3 (pip install 'giajax[ros]').",
+            "A table from DeepLabCut, SLEAP, anipose, Kinovea, Tracker, OptiTrack Motive or "
+            "phyphox, or one with column names of giajax, separated by commas, semicolons or "
+            "tabs; or a ROS 2 bag: a folder, .mcap or .db3 (pip install 'giajax[ros]').",
         ),
     ],
     to: ToRun,
     point: Annotated[
         Texts,
         "NAME=PART",
-        "What a tracked point, sensor or joint of the file is: link06, tip, mark01, imu06, "
-        "joint01, or a channel.",
+        "Assign a tracked point, sensor or joint of the file to link06, tip, mark01, imu06, "
+        "joint01 or a channel.",
     ] = None,
-    camera: Annotated[str | None, "NAME", "The camera; needed where there are several."] = None,
+    camera: Annotated[
+        str | None, "NAME", "Name of the camera; required if there are several."
+    ] = None,
     frame_rate: Annotated[
         float | None,
         "HZ",
-        "Pictures a second of the film; in place of the times of a file that has some.",
+        "Frame rate of the film in frames per second; replaces the times in the file.",
     ] = None,
-    likelihood: Annotated[float, "P", "A less likely point is left empty."] = 0.6,
+    likelihood: Annotated[float, "P", "Leave points of lower likelihood empty."] = 0.6,
     unit: Annotated[
-        str | None, "UNIT", "Of lengths in a file that does not say it: m, cm or mm."
+        str | None, "UNIT", "Unit of lengths if the file does not state it: m, cm or mm."
     ] = None,
     origin: Annotated[
         str | None,
         "U,V",
-        "Of coordinates that Kinovea or Tracker counts in px, upwards: where their origin is in "
-        "the picture, from the upper left corner.",
+        "Position of the coordinate origin in the image, from the upper left corner, for px "
+        "coordinates of Kinovea or Tracker that point upwards.",
     ] = None,
     axes: Annotated[
         str | None,
         "AXES",
-        "The axes of the base that the coordinates of the file are, such as x,z of a film from the "
-        "side, x,y of one from above, x,z,-y of space.",
+        "Axes of the base frame for the coordinates of the file: x,z for a film from the side, x,y "
+        "from above, x,z,-y for 3-D coordinates.",
     ] = None,
-    flip: Annotated[Texts, "NAME", "Change the sign of an axis, such as z, or channel."] = None,
-    time_unit: Annotated[str, "UNIT", "Of times in a file of Kinovea: s or ms."] = "s",
-    offset: Annotated[float, "S", "Add so much to the times of the file."] = 0.0,
-    from_time: Annotated[float | None, "S", "Leave out what is earlier, by these times."] = None,
-    until: Annotated[float | None, "S", "Leave out what is later."] = None,
+    flip: Annotated[
+        Texts, "NAME", "Change the sign of an axis, such as z, or of a channel."
+    ] = None,
+    time_unit: Annotated[str, "UNIT", "Unit of times in a Kinovea file: s or ms."] = "s",
+    offset: Annotated[float, "S", "Offset to add to the times of the file."] = 0.0,
+    from_time: Annotated[float | None, "S", "Leave out rows before this time of the file."] = None,
+    until: Annotated[float | None, "S", "Leave out rows after this time."] = None,
     rename: Renamed = None,
-    only: Annotated[Texts, "NAME", "Only this of the file, or this channel; tip* for many."] = None,
-    ignore: Annotated[Texts, "NAME", "Without this of the file, or this channel."] = None,
+    only: Annotated[
+        Texts, "NAME", "Read only this column or channel; tip* matches several."
+    ] = None,
+    ignore: Annotated[Texts, "NAME", "Skip this column or channel."] = None,
     command: Annotated[
         Path | None,
         "FILE",
-        "A run with the commands, on the film's clock, or with the points of another camera.",
+        "A run with the commands, on the clock of the film, or with the points of another camera.",
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a run of what another program tracked or measured.
+    """Convert the output of a tracking or measuring program to a run.
 
-    Which program it was is read from the file. Each point becomes the channels of a link, of the
-    tip or of a landmark, in pixels or in space. Commands of another rate keep their own rows.
+    The program is recognised from the file. Each point becomes the channels of a link, of the tip
+    or of a landmark, in pixels or in space. Commands sampled at another rate keep their own rows.
     """
     import numpy as np
 
@@ -250,7 +256,7 @@ def import_(
 
     place = None if origin is None else numbers(origin, 2)
     if origin is not None and place is None:
-        raise InputError(f"--origin {origin!r} must be two numbers: write it like 0,1079")
+        raise InputError(f"--origin is {origin!r}: give two numbers, such as 0,1079")
     how = ImportSettings(
         frame_rate=frame_rate,
         likelihood=likelihood,
@@ -274,14 +280,14 @@ def import_(
         if not np.any(np.isfinite(column)):
             raise InputError(
                 f"{file} has no row in which {name} was found: leave it out, or lower --likelihood "
-                "where the program says how likely points are"
+                "if the file states likelihoods"
             )
     # Coordinates of a point are found together.
     found = {name.rpartition("_")[0]: np.isfinite(column) for name, column in measured.items()}
     count = len(next(iter(values.values())))
     if command is not None:
         if times is None:
-            raise InputError(f"{file} has no times: give --frame-rate, the rows a second")
+            raise InputError(f"{file} has no times: give --frame-rate, the rows per second")
         beside = read_beside(command)
         # A command of a bag holds until the next message.
         times, values = filmed_beside(times, values, beside, held=table.merged)
@@ -307,21 +313,21 @@ _COPIED = (".csv", ".toml", ".md", ".txt", "")  # a licence has no suffix
 @command(
     """\b
 Examples:
-  giajax examples           what there is
+  giajax examples           list them
   giajax examples --copy work
-                            copy it all to a folder
+                            copy all of them to a folder
   giajax fit work/fits/base_step.toml
                             fit one of them""",
     group="data",
 )
 def examples(
-    copy: Annotated[Path | None, "DIR", "Copy them all to this folder."] = None,
+    copy: Annotated[Path | None, "DIR", "Copy all of them to this folder."] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """List the runs, fits and missions that ship with giajax.
 
-    Or copy them to start from.
+    With --copy, copies them to a folder as a starting point.
     """
     check_quiet(quiet, written=copy, by="--copy DIR")
     root = examples_root()
@@ -338,7 +344,7 @@ def examples(
     write_files(contents, force=force)
     if not quiet:
         see = f"giajax fit {copy}/fits/base_step.toml"
-        typer.echo(f"copied {len(names)} files to {copy}; see: {see}")
+        typer.echo(f"copied {len(names)} files to {copy}; next: {see}")
 
 
 def examples_root() -> Path:
@@ -415,18 +421,18 @@ def _files(root: Path) -> Iterator[Path]:
 @command(
     """\b
 Examples:
-  giajax cache              where it is, what it holds, and its size
-  giajax cache --clear      removes it; the next fit compiles again""",
+  giajax cache              show its path, contents and size
+  giajax cache --clear      remove it; the next fit compiles again""",
     group="other",
 )
-def cache(clear: Annotated[bool, "Remove what is there."] = False) -> None:
-    """Show or clear the programs that are kept between commands.
+def cache(clear: Annotated[bool, "Remove the programs in the folder."] = False) -> None:
+    """Show or clear the cache of compiled programs.
 
-    Each command finds those of its model and its data there. A file that is of another version of
-    giajax, or was damaged, is not used; none is ever removed but by --clear. The folder is giajax
-    in the user's cache directory, or what JAX_COMPILATION_CACHE_DIR says: of that, only what
-    giajax alone wrote is removed. A folder that others can write, or that belongs to another
-    account, is not used: programs from there may do anything.
+    Each command reuses the programs for its model and data. A file from another version of giajax,
+    or a damaged one, is not used. Only --clear removes files. The folder is giajax in the user's
+    cache directory, or the folder in JAX_COMPILATION_CACHE_DIR, of which only files that giajax
+    wrote are removed. A folder that others can write, or that belongs to another account, is not
+    used, because its programs are not trusted.
     """
     from ..runtime.process import PROGRAMS, compilation_cache
     from ..runtime.programs import SUFFIX
@@ -434,8 +440,8 @@ def cache(clear: Annotated[bool, "Remove what is there."] = False) -> None:
     directory, stated = compilation_cache()
     if directory is None:
         typer.echo(
-            "there is no folder for a cache, and nothing is kept: set XDG_CACHE_HOME to one that "
-            "can be written"
+            "there is no folder for the cache, so no programs are kept: set XDG_CACHE_HOME to a "
+            "writable folder"
         )
         return
     traced = sorted((directory / PROGRAMS).glob(f"*{SUFFIX}"))

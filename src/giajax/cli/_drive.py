@@ -57,14 +57,17 @@ def driven_arm(
         definition = definition_from_options(what, links, wind, quiet=quiet)
         return definition, ArmModel.stated_in(definition)
     if links is not None:
-        raise InputError("--links is of an arm from a file, and this one was fitted: leave it out")
+        raise InputError("--links applies to an arm from a file, but a fit is given: leave it out")
     from ..fitting import load_result
     from ..recordings import stored_result
 
     stored_result(what)
     model = load_result(what).model
     if model.kind != ArmModel.kind:
-        raise InputError(f"{what} is a fit of a {model.kind}, which nobody drives: give an arm's")
+        raise InputError(
+            f"{what} is a fit of the {model.kind} model, which cannot be driven: give the fit of "
+            "an arm"
+        )
     return definition_from_options(None, None, wind, quiet=quiet), cast("ArmModel", model)
 
 
@@ -98,7 +101,7 @@ def replay_table(
     *,
     quiet: bool,
 ) -> None:
-    """Drive by a table; says how far it is, where somebody watches."""
+    """Drive by a table; says how far it is, if the output is shown."""
     from ..apps.driving import replay
 
     watched, said, kept = sys.stderr.isatty() and not quiet, -1, time.monotonic()
@@ -168,7 +171,9 @@ def save(
             unfinished.remove()
             return
         unfinished.add()
-        raise InputError(f"{error}; what was kept of the drive is in {unfinished.path}") from None
+        raise InputError(
+            f"{error}; the recorded part of the drive is in {unfinished.path}"
+        ) from None
     unfinished.remove()
     if session.lost and not quiet:
         typer.echo(f"the simulation was {session.lost:.1f} s behind the clock, which were left out")
@@ -188,14 +193,14 @@ Examples:
   giajax drive my_arm.toml --gusts 0.3:5 --wind 0,0.2,0
                             your arm, in gusts
   giajax drive my_arm.toml --pad my_pad.toml --to monday.csv
-                            with sticks and buttons as you say
+                            with your assignment of sticks and buttons
   giajax drive --replay pad.csv --to again.csv
-                            what a pad did, as fast as it goes
+                            replay pad inputs as fast as possible
 
 WHAT is the folder of a fit, or the TOML file of an arm. Sticks bend the base and
-the tip, sliders and presets any joint; where the pad, the tab or its connection
-is gone, the arm holds. The drive ends by Ctrl-C, and is saved as a run that
-giajax fit reads. A pad file says what sticks and buttons do:
+the tip, sliders and presets any joint. If the pad, the tab or the connection is
+lost, the arm holds its position. Ctrl-C ends the drive and saves it as a run that
+giajax fit reads. A pad file assigns sticks and buttons:
 
 \b
   [pad]
@@ -205,41 +210,52 @@ giajax fit reads. A pad file says what sticks and buttons do:
   presets = [{name = "up", joints = [1], angles_deg = [20], others_deg = 0}]
 
 \b
-A table of a pad has the columns time_s, axis0 (and axis1, and so on) and
-button0 (and so on); a row holds until the next one.""",
+A table of pad inputs has the columns time_s, axis0 (and axis1, and so on) and
+button0 (and so on). Each row applies until the next one.""",
     group="plan",
     old={"--out": "--to"},
 )
 def drive(
     context: typer.Context,
     what: Annotated[Path | None, argument("WHAT", "See below.")] = None,
-    pad: Annotated[Path | None, "FILE.toml", "What the pad does; see below."] = None,
-    replay: Annotated[Path | None, "PAD.csv", "Drive by a table, without a page."] = None,
+    pad: Annotated[
+        Path | None, "FILE.toml", "Assignment of the pad's sticks and buttons; see below."
+    ] = None,
+    replay: Annotated[
+        Path | None, "PAD.csv", "Replay a table of pad inputs, without a page."
+    ] = None,
     links: Links = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter.", "--set"] = None,
-    wind: Annotated[str | None, "X,Y,Z", "Mean velocity of the air, m/s."] = None,
-    gusts: Annotated[str | None, "I:L", "Gusts about --wind: intensity, length scale, m."] = None,
-    compensate: Annotated[Path | None, "RESULT", "A fit of a joint's hysteresis to undo."] = None,
-    no_memory: Annotated[bool, "Leave out what joints remember."] = False,
-    latency: Annotated[float, "S", "Of the picture of the camera at the tip."] = 0.2,
+    wind: Annotated[str | None, "X,Y,Z", "Mean velocity of the air (m/s)."] = None,
+    gusts: Annotated[
+        str | None, "I:L", "Gusts about --wind: intensity and length scale (m)."
+    ] = None,
+    compensate: Annotated[
+        Path | None, "RESULT", "Fit of a joint's hysteresis, for compensation."
+    ] = None,
+    no_memory: Annotated[bool, "Leave out the hysteresis of the joints."] = False,
+    latency: Annotated[float, "S", "Delay of the image of the camera at the tip."] = 0.2,
     rate: Annotated[float, "HZ", "Poses a second."] = 30.0,
-    steps: Annotated[int, "N", "Steps of the integrator in each.", 1] = 1,
-    to: Annotated[Path | None, "RUN.csv", "The run to write. [drive-N.csv, the next N]"] = None,
-    channels: Annotated[Texts, "CHANNEL", "What is recorded, as of simulate."] = None,
-    noise: Annotated[Texts, "KEY=VALUE", "Standard deviation, by a key of [noise]."] = None,
-    every: Annotated[int, "N", "One row in so many is recorded.", 1] = 3,
-    seed: Annotated[int, "N", "Of noise and gusts.", 0] = 0,
+    steps: Annotated[int, "N", "Integration steps in each interval.", 1] = 1,
+    to: Annotated[
+        Path | None, "RUN.csv", "File of the run to write. [drive-N.csv, next free N]"
+    ] = None,
+    channels: Annotated[Texts, "CHANNEL", "Channels to record, as in giajax simulate."] = None,
+    noise: Annotated[Texts, "KEY=VALUE", "Standard deviation of a key of [noise]."] = None,
+    every: Annotated[int, "N", "Record one row in N.", 1] = 3,
+    seed: Annotated[int, "N", "Seed of noise and gusts.", 0] = 0,
     host: Host = "127.0.0.1",
     port: Port = 0,
     browser: Browser = True,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Drive an arm in a browser, by a game pad or sliders.
+    """Drive an arm in a browser with a game pad or sliders.
 
-    In real time.
+    The simulation runs in real time.
 
-    The picture of a camera at the tip, gusts, and every drive saved as a run.
+    The page shows the image of a camera at the tip. Gusts are optional. Each drive is saved as a
+    run.
     """
     from ..recordings import check_output_run, stored_result
 
@@ -309,35 +325,35 @@ def drive(
     """\b
 Examples:
   giajax view giajax-out/run
-                            a fit: the arm as fitted, and what was seen
+                            the fitted arm and the recorded markers
   giajax view giajax-out/a giajax-out/b
                             two fits, side by side
   giajax view run.csv --page run.html
-                            a file that plays without a server
+                            a page that plays without a server
   giajax view my_arm.toml   an arm, with a slider for each joint
   giajax view tracked --truth true.csv
-                            where a track has found the arm, with bands
+                            a tracked arm with uncertainty bands
   giajax view run.csv --no-browser --host 0.0.0.0 --port 8100
                             for a browser on another machine
 
 WHAT is a recorded or simulated run, the folder of a fit (or its result.json) or
-of a track, or the TOML file of an arm. TRUE.csv has a sidecar with its [arm]. The
-page listens on this machine alone unless --host says otherwise, and opens only by
-its whole address, which has a token in it.""",
+of a track, or the TOML file of an arm. TRUE.csv needs a sidecar with an [arm]. The
+server listens on this machine only unless --host is given. The page opens only by
+its full address, which contains a token.""",
     group="first",
     old={"--out": "--page"},
 )
 def view(
     what: Annotated[list[Path], argument("WHAT", "See below.")],
-    data: Annotated[Paths, "RUN.csv", "A fitted run, if it has moved."] = None,
-    run: Annotated[str | None, "NAME", "Which run of a fit of several (the first)."] = None,
+    data: Annotated[Paths, "RUN.csv", "New path of a fitted run that was moved."] = None,
+    run: Annotated[str | None, "NAME", "Which run to show of a fit to several (the first)."] = None,
     rename: Renamed = None,
     truth: Annotated[
-        Path | None, "TRUE.csv", "True angles of all joints, shown in the same place."
+        Path | None, "TRUE.csv", "True angles of all joints, overlaid on the arm."
     ] = None,
-    overlay: Annotated[bool, "All in one place instead of side by side."] = False,
+    overlay: Annotated[bool, "Overlay the arms instead of placing them side by side."] = False,
     page: Annotated[Path | None, "FILE.html", "Write a page that plays without a server."] = None,
-    dark: Annotated[bool, "Of --page: light on dark."] = False,
+    dark: Annotated[bool, "Dark background for --page."] = False,
     host: Host = "127.0.0.1",
     port: Port = 0,
     browser: Browser = True,
@@ -346,7 +362,7 @@ def view(
 ) -> None:
     """Show an arm in a browser: balloons, markers, forces.
 
-    With what is around it. Recorded markers beside those of the model, and a time bar.
+    Shows obstacles, recorded and modelled markers, and a time bar.
     """
     from ..recordings import check_output_files, parse_rename, read_run, write_files
 
@@ -374,7 +390,8 @@ def view(
         found, overlay = [*found, posed(true, "truth")], True
     if len(found) > 1 and any(isinstance(each, Posable) for each in found):
         raise InputError(
-            "an arm without a motion is shown by itself: give one TOML file, or runs and fits"
+            "a TOML file without a motion must be the only argument: give one TOML file, or runs "
+            "and fits"
         )
     if page is not None:
         shows = [

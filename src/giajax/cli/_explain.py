@@ -34,25 +34,25 @@ PAGE = "explain.html"
     """\b
 Examples:
   giajax explain --data run.csv --out why
-                            what the run needs, into the folder why
+                            the effects in the run, into the folder why
   giajax explain --data run.csv --out why --budget 15m --tries 1
-                            the best within a quarter of an hour
+                            the best model within 15 minutes
   giajax explain --data a.csv --data b.csv --validation c.csv
-                            of two runs, judged by a third one
+                            of two runs, validated on a third one
   giajax explain --data run.csv --free air.drag_coefficient --loss huber
-                            from a fit with other options
+                            starting from a fit with other options
   giajax explain --resume why
-                            go on with it after it was stopped
+                            continue it after it was stopped
 
-It fits what `giajax fit` would fit, asks the residuals, fits the first few suspects
-and keeps the best, takes out again what that makes superfluous, and asks again.
-The last fifth of each run, or each --validation run, judges the steps; the final
+It makes the fit of `giajax fit`, tests the residuals, fits the first few suspects
+and keeps the best, removes effects that became superfluous, and repeats this.
+The steps are validated on the last fifth of each run, or on the --validation runs; the final
 model is fitted to all of --data. All other options are those of `giajax fit`.
 
 DIR holds the final result as `giajax fit` writes it, explain.json with steps,
-parameters and models that fit nearly as well, explain.html, and each fit that was
-made in DIR/fits. Ctrl-C and --budget end it with all of this for what was reached;
-the same with --resume DIR goes on to the same steps, and --force begins anew.
+parameters and models that fit nearly as well, explain.html, and each fit
+in DIR/fits. Ctrl-C and --budget end it and write the same files for the last step;
+--resume DIR continues to the same steps, and --force starts again.
 
 \b
 Exit status: 0 the final fit converged; 1 it did not; 2 bad input or usage;
@@ -62,24 +62,27 @@ Exit status: 0 the final fit converged; 1 it did not; 2 bad input or usage;
     old={"--config": "DEFINITION", "--page": "--report", "--no-page": "--no-report"},
 )
 def explain(
-    definition: Annotated[Path | None, argument("DEFINITION", "What to fit to what.")] = None,
-    data: Annotated[Paths, "RUN.csv", "A run to explain, together with others."] = None,
-    validation: Annotated[Paths, "RUN.csv", "A run to judge the steps by."] = None,
+    definition: Annotated[
+        Path | None, argument("DEFINITION", "Fit definition; see giajax fit.")
+    ] = None,
+    data: Annotated[Paths, "RUN.csv", "A run to explain; repeat it for several."] = None,
+    validation: Annotated[Paths, "RUN.csv", "A run for validation of the steps."] = None,
     rename: Renamed = None,
-    max_steps: Annotated[int | None, "N", "Steps at most (10).", 0] = None,
-    tries: Annotated[int | None, "N", "Suspects that are fitted at each step (3).", 1] = None,
-    resume: Annotated[Path | None, "DIR", "Go on with the explanation there."] = None,
-    out: Annotated[Path | None, "DIR", "Where it goes (giajax-out/RUN-explained)."] = None,
+    max_steps: Annotated[int | None, "N", "Largest number of steps (10).", 0] = None,
+    tries: Annotated[int | None, "N", "Number of suspects fitted at each step (3).", 1] = None,
+    resume: Annotated[Path | None, "DIR", "Continue the explanation in this folder."] = None,
+    out: Annotated[Path | None, "DIR", "Folder for the files (giajax-out/RUN-explained)."] = None,
     force: Force = False,
     report: Annotated[bool, "Write explain.html."] = True,
-    figures: Annotated[bool, "Draw pictures of the result."] = True,
+    figures: Annotated[bool, "Draw figures of the result."] = True,
     as_json: Json = False,
     quiet: Quiet = False,
     **settings: Unpack[Settings],
 ) -> None:
-    """Find out what runs need beyond a model, and fit it.
+    """Find the effects that a model lacks, and fit them.
 
-    A late camera, a wind, friction, swapped axes, outliers, and all else that the model knows.
+    Tests for camera delay, wind, friction, swapped axes, outliers and every other effect of the
+    model.
     """
     from ..recordings import parse_rename, write_files
     from ..report import check_page
@@ -166,7 +169,7 @@ def _resumed(folder: Path) -> "FitTask":
     from ..tasks import FitTask
 
     if not (folder / FITS / FIRST).exists():
-        raise InputError(f"{folder} has no explanation to go on with: give the folder of one")
+        raise InputError(f"{folder} has no explanation to continue: give the folder of one")
     return FitTask.again(folder / FITS / FIRST, home=folder).on_top(out=folder)
 
 
@@ -181,13 +184,13 @@ def _begun(ready: Any, folder: Path, *, resumed: bool, force: bool, quiet: bool)
         return load_result(path)
     if path.exists() and not force:
         raise InputError(
-            f"{folder} holds an explanation: go on with {resumes('explain', folder)}, give "
-            "another --out, or --force to begin anew"
+            f"{folder} holds an explanation: continue with {resumes('explain', folder)}, give "
+            "another --out, or --force to start again"
         )
     if not force and any((folder / FITS).glob("*")):
         raise InputError(
-            f"{folder / FITS} holds files that are of no explanation: give another --out, or "
-            "--force to write beside them"
+            f"{folder / FITS} holds files that do not belong to an explanation: give another "
+            "--out, or --force to write beside them"
         )
     check_folder(folder, ready.runs, ready.setup.config, force=force)
     for old in (path, folder / JOURNAL, *(folder / FITS).glob("[0-9][0-9][0-9].json")):

@@ -32,19 +32,19 @@ if TYPE_CHECKING:
 Examples:
   giajax fill               the preset, as tables
   giajax fill --out filling
-                            with files and pictures
+                            with files and figures
   giajax fill filling.toml --minutes 30 --out filling --force
-                            your filling; ports with which it takes 30 min
+                            your filling; ports for a filling time of 30 min
   giajax fill --set ports.diameter=0.008 --no-curve --json
                             another port, as JSON
 
 \b
 It writes
-  filling.json            when each link is full and lifts itself
+  filling.json            times when each link is full and lifts itself
   filling.csv             fullness, pressure, lift and stiffness over time
-  filling.png             the same as a picture
+  filling.png             the same as a figure
   inflation.toml          the filled arm, with the pressure of each link
-  curve.csv, curve.png    ports and supplies with which it takes 23 min
+  curve.csv, curve.png    ports and supplies for a filling time of 23 min
 
 A definition is a TOML file with an [arm] and a [filling], such as
 
@@ -53,24 +53,26 @@ A definition is a TOML file with an [arm] and a [filling], such as
   supply = "regulator"       # or "flow", or "bottle"
   supply_pressure_bar = 2.0
   port_diameter_mm = 8.0
-  shared = [[1, 2], [3, 4]]  # links that are not welded apart""",
+  shared = [[1, 2], [3, 4]]  # links without a weld between them""",
     group="arm",
 )
 def fill(
-    definition: Annotated[Path | None, argument("DEFINITION", "Its [arm] and [filling].")] = None,
+    definition: Annotated[
+        Path | None, argument("DEFINITION", "File with [arm] and [filling].")
+    ] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter, SI.", "--set"] = None,
-    minutes: Annotated[float, "MIN", "How long filling takes on the curve of ports."] = 23.0,
-    no_curve: Annotated[bool, "Leave that curve out."] = False,
-    out: Annotated[Path | None, "DIR", "Write tables and pictures there."] = None,
+    minutes: Annotated[float, "MIN", "Filling time for the curve of port diameters."] = 23.0,
+    no_curve: Annotated[bool, "Do not compute that curve."] = False,
+    out: Annotated[Path | None, "DIR", "Folder for tables and figures."] = None,
     as_json: Json = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Fill an arm of balloons with helium, link by link.
 
-    Says what each link is like on the way: bags in a row with ports between them, fed at the base
-    (the paper's fig. 15). And which port goes with which supply where filling takes the paper's
-    23 minutes.
+    Computes the state of each link over time, for bags in a row with ports between them, fed at the
+    base (the paper's fig. 15). Also computes the pairs of port and supply with which filling takes
+    the paper's 23 minutes.
     """
     from ..recordings import Definition, check_output_folder
 
@@ -131,7 +133,7 @@ def _show(filled: "Filled") -> None:
     if filled.finished:
         typer.echo(f"\nfull after {filled.duration / 60:.2f} min")
     else:
-        why = "the supply is too weak, or has too little"
+        why = "the supply is too weak or holds too little gas"
         typer.echo(f"\nnot full after {filled.times[-1] / 60:.0f} min: {why}")
     say_lift_off(filled.arm_lift_off)
     if filled.collapse is not None:
@@ -140,7 +142,7 @@ def _show(filled: "Filled") -> None:
 
 def say_lift_off(seconds: float) -> None:
     """When an arm lifts itself; a time that never came is NaN."""
-    said = "the arm's lift does not bear it"
+    said = "the lift does not carry the arm"
     if not math.isnan(seconds):
         said = f"the arm lifts itself at {seconds / 60:.2f} min"
     typer.echo(said)

@@ -64,7 +64,7 @@ _LEAST = 2  # steps that must have been timed: the first one compiles
 class TimeLeft:
     """Says now and then how long a fit of at most so many trial steps may still take.
 
-    Nobody knows how many steps are left until an optimum: what is said is how long it takes at
+    The number of steps to an optimum is not known: what is said is how long it takes at
     most, or with several starts, how long at the pace of those before.
     """
 
@@ -213,7 +213,7 @@ def write_or_print(result: "FitResult", runs: "Sequence[Run]", folder: Path) -> 
         path, text = folder / "result.json", result.to_json()
         with contextlib.suppress(OSError):
             if path.read_bytes() == text.encode():
-                _complain(f"the result is written, but {error}")
+                _complain(f"the result was written, but {error}")
                 return [path]
         for stream in (sys.stdout, sys.stderr):
             print(text, end="", file=stream, flush=True)
@@ -229,7 +229,7 @@ def _beside_result() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        _complain(f"the result is written, but {error}")
+        _complain(f"the result was written, but {error}")
 
 
 def show_result(result: "FitResult", definition: "Definition") -> None:
@@ -251,10 +251,10 @@ def show_diagnosis(result: "FitResult") -> None:
     from ..report import SUSPECT_HEADINGS, first_suspects, systematic_table
 
     if rows := first_suspects(result):
-        print("\nwhat the residuals ask for (giajax suspects shows all of it):")
+        print("\nwhat the residuals suggest (giajax suspects lists all suspects):")
         print_table(SUSPECT_HEADINGS, rows)
     if any(error.stated for error in result.systematic):
-        print("\nwhat a held number moves, in standard errors:")
+        print("\neffect of a fixed parameter's uncertainty, in standard errors:")
         print_table(*systematic_table(result))
 
 
@@ -280,7 +280,7 @@ def finished(folder: Path, as_json: bool, quiet: bool) -> int | None:
     if as_json:
         typer.echo(path.read_text(encoding="utf-8"), nl=False)
     if not quiet:
-        ended = f"the fit in {folder} has ended, and there is nothing to go on with"
+        ended = f"the fit in {folder} has ended and cannot be continued"
         typer.echo(f"{ended}: {record['message']}", err=as_json)
     return _STATUS[record["status"]]
 
@@ -349,7 +349,7 @@ def run_fit(
             )
         except KeyboardInterrupt:
             if journal.is_begun:
-                _complain(f"what was computed is kept: {_go_on(task)}")
+                _complain(f"the computed part is kept: {_go_on(task)}")
             raise
         if progress is not None:
             # A line between the iterations and the table, where both are on one screen.
@@ -408,7 +408,7 @@ def run_fit(
 
 def _go_on(task: "FitTask", result: "FitResult | None" = None) -> str:
     """How a fit that was stopped is gone on with."""
-    how = f"to go on with it: {resumes('fit', task.out)}"
+    how = f"to continue it: {resumes('fit', task.out)}"
     # A fit that had its iterations would end again at once.
     if result and result.status == "not_converged" and "budget_s" not in result.config:
         how += f" --max-iterations {2 * result.config['max_iterations']}"
@@ -440,44 +440,46 @@ _SETTINGS |= {"window": "window_s", "windows_first": "windows_first_s"}
 class Settings(TypedDict):
     """The options of `giajax.recordings.FitSettings`, which would take pydantic to import."""
 
-    free: Annotated[Texts, "PATH", "Fit it, and not the default list."]
-    start: Annotated[Texts, "PATH=VALUE", "Start a parameter at a value."]
-    fix: Annotated[Texts, "PATH=VALUE", "Hold a parameter at a value."]
+    free: Annotated[Texts, "PATH", "Fit this parameter instead of the default list."]
+    start: Annotated[Texts, "PATH=VALUE", "Initial value of a parameter."]
+    fix: Annotated[Texts, "PATH=VALUE", "Fix a parameter at a value."]
     prior: Annotated[
-        Texts, "PATH=VALUE+-DEVIATION", "Known before; PATH=VALUEx/FACTOR is log-normal."
+        Texts, "PATH=VALUE+-DEVIATION", "Prior of a parameter; PATH=VALUEx/FACTOR is log-normal."
     ]
-    bounds: Annotated[Texts, "PATH=LOW,HIGH", "Bounds of a parameter, within those that it has."]
-    tie: Annotated[Texts, "PATH=EXPRESSION", "Let it follow from others: links.mass=links.mass[0]."]
-    per_run: Annotated[Texts, "PATH", "Fit a value of it for each run."]
-    group: Annotated[Texts, "PATH=RUN,RUN", "Fit a value that these share."]
-    uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a held parameter."]
+    bounds: Annotated[Texts, "PATH=LOW,HIGH", "Narrower bounds of a parameter."]
+    tie: Annotated[
+        Texts, "PATH=EXPRESSION", "Express a parameter by others: links.mass=links.mass[0]."
+    ]
+    per_run: Annotated[Texts, "PATH", "Fit a separate value for each run."]
+    group: Annotated[Texts, "PATH=RUN,RUN", "Fit one value shared by these runs."]
+    uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a fixed parameter."]
     nuisances: Annotated[
         bool | None,
-        "Free what is always uncertain of camera and arm, with a prior (default), or hold it.",
+        "Fit the nuisance parameters of camera and arm with priors (default), or fix them.",
         "--nuisances/--no-nuisances",
     ]
-    channels: Annotated[Texts, "CHANNEL", "Fit this channel only, without its unit: link20_z."]
-    hold_out: Annotated[
-        Texts, "NAME", "Judge by it, do not fit it: a run, a channel, last (fifth)."
+    channels: Annotated[
+        Texts, "CHANNEL", "Fit only this channel, named without its unit: link20_z."
     ]
-    window: Annotated[float | None, "S", "Cut runs into windows, each with its own start."]
-    windows_first: Annotated[float | None, "S", "Fit such windows first, then whole runs."]
-    starts: Annotated[int | None, "N", "Fit from so many starts and keep the best end (1).", 1]
-    spread: Annotated[float | None, "X", "How far the other starts are away, as a share (0.3)."]
-    seed: Annotated[int | None, "N", "Of the other starts (0).", 0]
-    loss: Annotated[
-        str | None, "NAME", "How residuals count; for outliers huber, soft_l1, student_t (linear)."
-    ]
-    noise_model: Annotated[str | None, "NAME", "correlated where it is, or white (correlated)."]
+    hold_out: Annotated[Texts, "NAME", "Hold out a run, a channel, or last (the last fifth)."]
+    window: Annotated[float | None, "S", "Split runs into windows with separate initial states."]
+    windows_first: Annotated[float | None, "S", "Fit these windows first, then whole runs."]
+    starts: Annotated[int | None, "N", "Number of initial guesses; the best fit is kept (1).", 1]
+    spread: Annotated[float | None, "X", "Relative spread of the other initial guesses (0.3)."]
+    seed: Annotated[int | None, "N", "Seed of the other initial guesses (0).", 0]
+    loss: Annotated[str | None, "NAME", "Loss; huber, soft_l1 or student_t for outliers (linear)."]
+    noise_model: Annotated[str | None, "NAME", "Noise model: correlated or white (correlated)."]
     noise_per_run: Annotated[
         bool | None,
-        "Estimate noise in each run, or (default) in all.",
+        "Estimate the noise for each run, or for all (default).",
         "--noise-per-run/--noise-pooled",
     ]
-    solver: Annotated[str | None, "NAME", "Integration method (springs5), such as tsit5."]
-    tolerance: Annotated[float | None, "TOL", "Of the integration (chosen by what it moves)."]
-    max_iterations: Annotated[int | None, "N", "Trial steps before the fit gives up (50).", 1]
-    budget: Annotated[str | None, "TIME", "End with the best so far after 90s, 10m, 2h."]
+    solver: Annotated[str | None, "NAME", "Integration method, such as tsit5 (springs5)."]
+    tolerance: Annotated[
+        float | None, "TOL", "Tolerance of the integration (chosen automatically)."
+    ]
+    max_iterations: Annotated[int | None, "N", "Largest number of trial steps (50).", 1]
+    budget: Annotated[str | None, "TIME", "End with the best result so far after 90s, 10m, 2h."]
 
 
 def typed(given: Settings) -> "TaskKeywords":
@@ -519,77 +521,83 @@ Examples:
   giajax fit --data run.csv
                             the default parameters of its model
   giajax fit --data run.csv --start air.drag_coefficient=0.8 --loss huber
-                            from another start, and robust to outliers
+                            from another initial guess, with a robust loss
   giajax fit --data a.csv --data b.csv --fix joints.damping=0.05 --out both
-                            two runs, one parameter held
+                            two runs, one parameter fixed
   giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
-                            these parameters alone
+                            only these parameters
   giajax fit --data run.csv --free links.mass --tie "links.mass=links.mass[0]"
-                            one mass for all links
+                            the same mass for all links
   giajax fit --data a.csv --data b.csv --per-run camera.delay \\
       --prior camera.delay=0+-0.05 --bounds joints.damping=0.01,1
                             a delay for each run, with a prior
   giajax fit --data a.csv --data b.csv --hold-out b --strict
-                            judged by a run that is not fitted
+                            validated on a held-out run
   giajax fit --data run.csv --hold-out last:0.3
-                            judged by the last 30 % of the run
+                            validated on the last 30 % of the run
   giajax fit definition.toml --force
                             a fit definition
   giajax fit long.toml --budget 2h --cores 4
-                            the best of two hours
+                            the best result within two hours
   giajax fit long.toml --starts 100 --workers 4
-                            from many starts, in four processes
+                            from 100 initial guesses, in four processes
   giajax fit --resume giajax-out/long
-                            go on with a fit that was stopped
+                            continue a fit that was stopped
   giajax fit --again giajax-out/run/result.json
-                            the same fit once more
+                            repeat the same fit
   giajax fit --data other.csv --from giajax-out/run
-                            another run, from where a fit ended
+                            another run, with a warm start
 
-Parameters are called as `giajax parameters` lists them, in the units that it lists;
-one with several elements has one VALUE for all, or one for each: camera.origin=0.1,0,0.
-The table and the summary go to standard output, progress to standard error.
+`giajax parameters` lists the names and units of parameters. A parameter with
+several elements takes one VALUE for all, or one for each: camera.origin=0.1,0,0.
+Table and summary go to standard output, progress to standard error.
 
 \b
 Exit status: 0 converged; 1 ended without convergence (the result is
-written and says so); 2 bad input or usage; 3 with --strict, where the model
-does not describe the data or is doubtful; 4 something else went wrong; 130
-interrupted, 143 by SIGTERM, 129 by a terminal that hangs up (the best point
-so far is written). A second Ctrl-C ends at once.
+written and says so); 2 bad input or usage; 3 with --strict, if the model
+does not describe the data or is doubtful; 4 another error; 130
+interrupted, 143 SIGTERM, 129 terminal closed (the best point
+so far is written). A second Ctrl-C ends the program at once.
 
-While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
-end of a budget, --resume DIR goes on from there to the same numbers.
-With --workers or --scheduler other processes fit the starts after the first
-that converges.""",
+DIR/journal.jsonl records every step. After a crash, Ctrl-C or the
+end of a budget, --resume DIR continues from there and gives the same result.
+With --workers or --scheduler, other processes fit the remaining initial guesses
+after the first one has converged.""",
     group="first",
     settings_after="data",
     old={"--config": "DEFINITION"},
 )
 def fit(
-    definition: Annotated[Path | None, argument("DEFINITION", "What to fit to what.")] = None,
-    data: Annotated[Paths, "RUN.csv", "A run to fit, together with others."] = None,
+    definition: Annotated[
+        Path | None, argument("DEFINITION", "Fit definition, a TOML file.")
+    ] = None,
+    data: Annotated[Paths, "RUN.csv", "A run to fit; repeat it for several."] = None,
     rename: Renamed = None,
-    begin: Annotated[Path | None, "RESULT", "Start where another fit ended.", "--from"] = None,
-    again: Annotated[Path | None, "RESULT", "A fit once more: same data, same numbers."] = None,
+    begin: Annotated[
+        Path | None, "RESULT", "Warm start from the result of another fit.", "--from"
+    ] = None,
+    again: Annotated[Path | None, "RESULT", "Repeat a fit with the same data and settings."] = None,
     cores: Cores = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    resume: Annotated[Path | None, "DIR", "Go on with the fit whose journal is there."] = None,
-    out: Annotated[Path | None, "DIR", "Where the result goes (giajax-out/RUN)."] = None,
+    resume: Annotated[
+        Path | None, "DIR", "Continue the fit whose journal is in this folder."
+    ] = None,
+    out: Annotated[Path | None, "DIR", "Folder for the result (giajax-out/RUN)."] = None,
     force: Force = False,
     as_json: Json = False,
-    strict: Annotated[bool, "End with status 3 where the model does not fit the data."] = False,
+    strict: Annotated[bool, "Exit with status 3 if the model does not fit the data."] = False,
     quiet: Quiet = False,
-    suspects: Annotated[bool, "Test what the fit held or left out."] = True,
-    figures: Annotated[bool, "Draw pictures of the result."] = True,
-    self_test: Annotated[bool, "Repeat it with noise drawn anew: are its errors right?"] = False,
-    report: Annotated[bool, "Write report.html, a page for a browser, too."] = False,
+    suspects: Annotated[bool, "Test fixed and omitted parameters after the fit."] = True,
+    figures: Annotated[bool, "Draw figures of the result."] = True,
+    self_test: Annotated[bool, "Check the standard errors by fits with new noise."] = False,
+    report: Annotated[bool, "Also write report.html."] = False,
     **settings: Unpack[Settings],
 ) -> None:
     """Fit parameters to runs.
 
-    Without further options: drag coefficient, pitch and yaw stiffness and damping of an arm.
-    The columns of the runs decide the model, their sidecars its constants.
+    Without further options, fits the drag coefficient, pitch and yaw stiffness and damping of an
+    arm. The columns of the runs determine the model, and their sidecars its constants.
     """
     from ..recordings import parse_rename
 
@@ -611,7 +619,7 @@ def fit(
 
     if resume is not None and task.out.resolve() != resume.resolve():
         if out is not None:
-            raise typer.BadParameter("a fit that is resumed goes on in its folder: leave out --out")
+            raise typer.BadParameter("a resumed fit continues in its folder: leave out --out")
         task = task.on_top(out=resume)
     raise typer.Exit(
         run_fit(

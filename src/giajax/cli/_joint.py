@@ -34,41 +34,46 @@ _ANGLES = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
 @command(
     """\b
 Examples:
-  giajax joint --out joint  the preset, as pictures and numbers
+  giajax joint --out joint  the preset, as figures and tables
   giajax joint --out joint --torque 0.5 --angle 45 --angle 0 --angle -45
                             with another torque, drawn at three angles
   giajax joint joint.toml --out joint --target-angle 30
                             your joint, and the pressures for 30 deg
   giajax joint --out joint --set alpha.offset=0.05 --force
-                            with another number
+                            with another parameter value
   giajax joint --out joint --set neck.radius=0.06 --force
-                            with a neck of film that bends and folds
+                            with a film neck that bends and folds
 
 \b
 It writes
   fig09.png, fig09.csv    contraction and force, without corrections
   fig10.png, fig10.csv    the same with alpha and beta
   corrections.png, .csv   alpha and beta, as read and as printed (an erratum)
-  joint.png, points.csv   the joint at a few angles, and its lettered points
-  equilibria.png, .csv    where two pressures hold the joint, and how stiffly
+  joint.png, points.csv   the joint at a few angles, and its marked points
+  equilibria.png, .csv    equilibria for two pressures, and their stiffness
 
 DEFINITION is a TOML file with [joint] and [muscle] sections, such as the sidecar of a run.""",
     group="arm",
     old={"--definition": "DEFINITION", "--target": "--target-angle"},
 )
 def joint(
-    out: Annotated[Path, "DIR", "Folder for pictures and numbers."],
-    definition: Annotated[Path | None, argument("DEFINITION", "Its [joint] and [muscle].")] = None,
-    pairs: Annotated[Texts, "PATH=VALUE", "A parameter of joint or muscle, SI.", "--set"] = None,
+    out: Annotated[Path, "DIR", "Folder for figures and tables."],
+    definition: Annotated[
+        Path | None, argument("DEFINITION", "File with [joint] and [muscle].")
+    ] = None,
+    pairs: Annotated[
+        Texts, "PATH=VALUE", "Value of a joint or muscle parameter, SI.", "--set"
+    ] = None,
     torque: Annotated[float | None, "N_M", "Torque on the joint. [default: 0.3]"] = None,
     angle: Annotated[list[float] | None, "DEG", "Draw the joint at this angle."] = None,
-    target_angle: Annotated[float, "DEG", "Angle whose two pressures are shown."] = 20.0,
+    target_angle: Annotated[float, "DEG", "Angle for which the two pressures are computed."] = 20.0,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Draw one joint at rest: paths, forces and equilibria.
 
-    The paper's figs 9 and 10, the joint itself at a few angles, and where two pressures hold it.
+    Draws the paper's figs 9 and 10, the joint at a few angles, and its equilibria for two
+    pressures.
     """
     from ..recordings import Definition, check_output_folder
 
@@ -153,7 +158,7 @@ def _show(pair: Any, target: float) -> None:
         if is_there:
             print(f"the torque also drives the joint against its stop at {end} deg")
     if rests.indifferent:
-        print("in a range of angles nothing acts on the joint: it rests at any of them")
+        print("no torque acts on the joint in a range of angles: each of them is an equilibrium")
 
 
 @command(
@@ -162,44 +167,46 @@ Examples:
   giajax fit --data loop.csv --out loop
                             a fit to invert
   giajax compensate loop --target target.csv --to command.csv
-                            commands by its inverse
+                            commands from its inverse
   giajax compensate --loop loop.csv --travel 40 --target target.csv \\
-      --to command.csv      commands by a measured loop, without a fit
+      --to command.csv      commands from a measured loop, without a fit
 
-target.csv has one column, the angle (angle_deg) or output that is the target, and the time if
-there is one. What the fitted model predicts for the commands is written beside them.""",
+target.csv has a column for the target angle (angle_deg) or output, and optionally one for
+the time. The output predicted by the fitted model is written beside the commands.""",
     group="plan",
     old={"--model": "RESULT", "--out": "--to"},
 )
 def compensate(
-    target: Annotated[Path, "RUN.csv", "The target outputs."],
+    target: Annotated[Path, "RUN.csv", "A table of target outputs."],
     to: ToRun,
     result: Annotated[
         Path | None, argument("RESULT", "A fit (result.json or its folder) to invert.")
     ] = None,
-    loop: Annotated[Path | None, "RUN.csv", "A measured loop for eq. (12), not a fit."] = None,
+    loop: Annotated[
+        Path | None, "RUN.csv", "A measured loop for eq. (12), instead of a fit."
+    ] = None,
     travel: Annotated[
         float | None,
         "TRAVEL",
-        "With --loop: travel from branch to branch, in the unit of the target. "
-        "[default: a third of the range]",
+        "With --loop: travel for a change of branch, in the unit of the target. [default: a third "
+        "of the range]",
     ] = None,
     rename: Renamed = None,
     digits: Digits = 9,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Turn target outputs into the commands that reach them.
+    """Compute the commands that reach target outputs.
 
-    With a fit by the inverse of the fitted operator, exact for Prandtl-Ishlinskii and its
-    modified form; with --loop by eq. (12) of the paper.
+    A fit is inverted; the inverse is exact for Prandtl-Ishlinskii and its
+    modified form. With --loop, eq. (12) of the paper is used.
     """
     if (result is None) == (loop is None):
         raise typer.BadParameter(
-            "commands need one source: give a fit, or --loop with a run, and not both"
+            "there must be exactly one source of commands: give either a fit, or --loop with a run"
         )
     if travel is not None and loop is None:
-        raise typer.BadParameter("--travel goes with --loop: give both, or leave it out")
+        raise typer.BadParameter("--travel is only used with --loop: give both, or leave it out")
     if travel is not None and not 0 < travel < math.inf:
         raise typer.BadParameter(f"--travel is {travel:g}: give a positive number")
     from ..recordings import Definition, Run, check_output_run, parse_rename, read_run, write_run

@@ -33,39 +33,39 @@ _PAGE = "life.html"
     """\b
 Examples:
   giajax life missions/naraha.toml --out life
-                            all of it, with files and a page that plays it
+                            all phases, with files and a page that plays them
   giajax life missions/naraha.toml --set supply.flow=0.0005 --no-page
-                            fed half as fast, as a table
+                            with half the gas flow, as a table
   giajax life missions/naraha.toml --seed 4 --json
-                            in other air, as JSON
+                            with other gusts, as JSON
 
 \b
 It writes
   life.json, life.csv     each phase: time, gas, lift, margin, energy
-  life.png                gas, pressures and works as a picture
+  life.png                gas, pressures and work as a figure
   life.html               a page that plays all phases
   run.csv, run.toml       the mission as a run
 
-The file is that of giajax mission. What differs of the roll and of the gas
-stands in its [unrolling] and [filling].""",
+The file is that of giajax mission. Other values of the roll and of the gas
+are set in its [unrolling] and [filling].""",
     group="arm",
 )
 def life(
     context: typer.Context,
-    file: Annotated[Path, argument("MISSION", "Its file, as of giajax mission.")],
-    seed: Annotated[int, "N", "Of air and pixels.", 0] = 0,
+    file: Annotated[Path, argument("MISSION", "Mission file, as for giajax mission.")],
+    seed: Annotated[int, "N", "Seed of gusts and pixel noise.", 0] = 0,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter, SI.", "--set"] = None,
-    out: Annotated[Path | None, "DIR", "Write numbers, a picture and a page there."] = None,
-    no_page: Annotated[bool, "Leave the page out."] = False,
+    out: Annotated[Path | None, "DIR", "Folder for tables, a figure and a page."] = None,
+    no_page: Annotated[bool, "Do not write the page."] = False,
     as_json: Json = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Unroll, fill, raise, fly and deflate an arm in one run.
 
-    Gas is fed until every link holds the pull of a muscle, and the mission is flown with the
-    pressures of then. Says of each phase what it took, and whether helium, energy and momentum
-    are balanced.
+    Gas is fed until every link withstands the pull of a muscle. The mission is flown with the
+    pressures reached then. Reports time, gas and energy of each phase, and the balances of helium,
+    energy and momentum.
     """
     from ..recordings import Definition, check_output_folder, write_run
 
@@ -145,8 +145,8 @@ def _show(life: "Life") -> None:
         how = f"inside after {outcome.reached:.1f} s of the mission"
     typer.echo(f"\n{how}; {life.duration / 60:.1f} min in all")
     _, _, feed, _, mission, *_ = life.phases
-    fed = f"after feeding on for {feed.end - feed.begin:.1f} s"
-    holds = f"every link holds the {life.pull:.1f} N of a muscle at its limit {fed}"
+    fed = f"after feeding for another {feed.end - feed.begin:.1f} s"
+    holds = f"every link withstands the {life.pull:.1f} N of a muscle at its limit {fed}"
     if mission.margin < 0:
         holds += f", but in the mission link {mission.weakest} is short of it"
     typer.echo(holds)
@@ -155,5 +155,6 @@ def _show(life: "Life") -> None:
         f"{life.energy_imbalance:.1e} of what was exchanged, momentum {life.momentum_imbalance:.1e}"
     )
     typer.echo(
-        f"those of the mission are of a repeat, whose angles are within {life.apart:.1e} rad"
+        "the balances of the mission are from a repeated simulation, whose angles agree within "
+        f"{life.apart:.1e} rad"
     )

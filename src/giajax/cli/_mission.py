@@ -121,37 +121,37 @@ _RANGE = "0,0.6"  # of a recording
     """\b
 Examples:
   giajax mission missions/naraha.toml
-                            once, in the air of the file
+                            once, with the wind of the file
   giajax mission missions/naraha.toml --speed 0.3 --seed 4 --out flown
-                            in another wind, with files and a run
+                            with another wind, with files and a run
   giajax mission missions/naraha.toml --controller mpc
                             by model predictive control
   giajax mission missions/naraha.toml --controller mpc --keep-station 300
-                            held before the opening for 300 s
+                            hold the tip before the opening for 300 s
   giajax mission missions/naraha.toml --page flown.html
                             with a page that plays it
   giajax view flown/run.csv
                             the run in a browser
   giajax mission missions/naraha.toml --cases 100 --speeds 0,0.1,0.2,0.3
-                            how often it succeeds, against the wind
+                            success rate against wind speed
   giajax mission missions/naraha.toml --from-recording resting.csv
-                            the chance in the air that a minute of the
-                            resting arm shows
+                            probability of success in the wind estimated
+                            from a minute of the resting arm
   giajax mission missions/naraha.toml --case 17 --speed 0.3 --out flown
-                            one of those again
+                            repeat one of those missions
 
 \b
 It writes
-  mission.json, mission.png   when it was inside, what it touched, its way
+  mission.json, mission.png   time of entry, contacts and path of the tip
   run.csv, run.toml           commands, wind and tip as a run
-or of many
+or for many missions
   cases.json, cases.csv, cases.png
-                              how often, and how soon, against the wind
-or by a recording
+                              success rate and time against the wind
+or from a recording
   certificate.json, certificate.csv, certificate.png
-                              the chance, and the missions behind it
+                              the probability, and the missions it is from
 
-The file is that of an arm with [[arm.obstacles]], a [camera.NAME] at its tip, and
+The file describes an arm with [[arm.obstacles]], a [camera.NAME] at its tip, and
 
 \b
   [mission]
@@ -165,35 +165,43 @@ The file is that of an arm with [[arm.obstacles]], a [camera.NAME] at its tip, a
 )
 def mission(
     context: typer.Context,
-    file: Annotated[Path, argument("MISSION", "Its file; see below.")],
-    speed: Annotated[float | None, "M/S", "Of the air, in place of the file's."] = None,
-    seed: Annotated[int, "N", "Of air and pixels; of --cases the first.", 0] = 0,
-    case: Annotated[int | None, "N", "One of --cases again, by its seed: arm and air.", 0] = None,
-    controller: Annotated[str, "NAME", "Who drives: operator or mpc."] = "operator",
-    keep_station: Annotated[float | None, "S", "Stay before the opening for so long."] = None,
-    pairs: Annotated[Texts, "PATH=VALUE", "A parameter of the arm.", "--set"] = None,
+    file: Annotated[Path, argument("MISSION", "Mission file; see below.")],
+    speed: Annotated[float | None, "M/S", "Wind speed, instead of the file's."] = None,
+    seed: Annotated[int, "N", "Seed of gusts and pixel noise; of --cases the first.", 0] = 0,
+    case: Annotated[int | None, "N", "Repeat one of --cases, named by its seed.", 0] = None,
+    controller: Annotated[str, "NAME", "Controller: operator or mpc."] = "operator",
+    keep_station: Annotated[
+        float | None, "S", "Hold the tip before the opening for this time."
+    ] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "Value of an arm parameter.", "--set"] = None,
     resting_run: Annotated[
-        Path | None, "RUN.csv", "Probability of success, by the arm at rest.", "--from-recording"
+        Path | None,
+        "RUN.csv",
+        "Probability of success, from a run of the arm at rest.",
+        "--from-recording",
     ] = None,
     cases: Annotated[
-        int | None, "N", "Fly so many: at each of --speeds, or [200] for --from-recording.", 1
+        int | None,
+        "N",
+        "Number of missions: at each of --speeds, or [200] with --from-recording.",
+        1,
     ] = None,
     speeds: Annotated[
         str | None,
         "M/S,M/S",
-        f"Of the air. [for --cases {_SPEEDS}; between {_RANGE} for --from-recording]",
+        f"Wind speeds. [for --cases {_SPEEDS}; between {_RANGE} for --from-recording]",
     ] = None,
-    out: Annotated[Path | None, "DIR", "Write numbers and pictures there."] = None,
+    out: Annotated[Path | None, "DIR", "Folder for tables and figures."] = None,
     as_json: Json = False,
-    page: Annotated[Path | None, "FILE.html", "Write a page that plays it."] = None,
+    page: Annotated[Path | None, "FILE.html", "File of a page that plays the mission."] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Bring an arm to an opening by camera, or hold it before it.
+    """Steer an arm to an opening by camera, or hold it there.
 
-    The camera is at the tip. As in the paper's mock-up: gusts, joints that remember, a late
-    picture, a time limit. Once, as a run that `giajax view` plays, or many times: success against
-    the speed of the air.
+    The camera is at the tip. As in the paper's mock-up, there are gusts, joint hysteresis, image
+    delay and a time limit. One mission is written as a run for `giajax view`; many missions give
+    the success rate against the wind speed.
     """
     from ..recordings import (
         Definition,
@@ -219,7 +227,7 @@ def mission(
     other = next((option for option, given in many if given is not None), None)
     for option, given in alone:
         if given is not None and other is not None:
-            raise InputError(f"{option} is of one mission: leave {other} out")
+            raise InputError(f"{option} applies to a single mission: leave {other} out")
     if page is not None:
         check_output_files([page], force=force)
     values = settings(pairs)
@@ -251,7 +259,7 @@ def mission(
     if resting_run is not None:
         count = _CASES if cases is None else cases
         if count < FEWEST_CASES:
-            raise InputError(f"--cases is {count}: a chance takes at least {FEWEST_CASES}")
+            raise InputError(f"--cases is {count}: give at least {FEWEST_CASES} for a probability")
         recorded = read_run(resting_run, definition=definition)
         resting = Resting.from_run(recorded, planned.model)
         if recorded.winds and not quiet:
@@ -343,7 +351,7 @@ def _check_all_flown(done: int, whole: int) -> None:
 
 
 def _progress() -> Callable[[int, int], None] | None:
-    """Says how many were flown, where somebody watches."""
+    """Says how many were flown, if the output is shown."""
 
     def say(done: int, whole: int) -> None:
         end = "\n" if done == whole else ""

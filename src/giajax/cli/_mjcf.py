@@ -17,19 +17,19 @@ _THEIRS = (".xml", ".mjcf", ".urdf")
     """\b
 Examples:
   giajax mjcf robot.xml --to arm.toml
-                            the arm of a file of MuJoCo
+                            the arm of a MuJoCo file
   giajax mjcf robot.urdf --diameter 0.05
-                            that of a URDF without geoms, as text
+                            the arm of a URDF without geoms, as text
   giajax mjcf arm.toml --to arm
                             an arm for MuJoCo, into the folder arm
   giajax mjcf giajax-out/run --to arm
                             the arm of a fit
 
-Of a file of MuJoCo it makes the [arm] of a sidecar; of an arm, or of a fit of one, a folder:
+A MuJoCo file is converted to the [arm] of a sidecar; an arm, or a fit of one, to a folder:
 
 \b
   arm.xml                 the chain
-  air.py, air.json        the air on it as passive forces; air.py shows how
+  air.py, air.json        the air forces as passive forces; see air.py
 
 Needs pip install 'giajax[mujoco]'.""",
     group="arm",
@@ -37,14 +37,14 @@ Needs pip install 'giajax[mujoco]'.""",
 )
 def mjcf(
     source: Annotated[Path, argument("SOURCE", "MJCF, URDF, the TOML of an arm, or a fit.")],
-    diameter: Annotated[float | None, "M", "Of the links of a file without geoms."] = None,
-    to: Annotated[Path | None, "PATH", "Write the TOML, or the folder; else the text."] = None,
+    diameter: Annotated[float | None, "M", "Link diameter for a file without geoms."] = None,
+    to: Annotated[Path | None, "PATH", "TOML file or folder to write. [standard output]"] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Convert an arm from MJCF or URDF, or into MJCF.
 
-    With a Python file of the air. What is lost on the way is said.
+    MJCF output includes a Python file for the air forces. Features that are lost are reported.
     """
     if not source.exists():
         raise InputError(f"{source} does not exist: give MJCF, URDF, an arm's TOML, or a fit")
@@ -68,9 +68,9 @@ def mjcf(
                 typer.echo(f"wrote {to}")
     else:
         if to is None:
-            raise InputError("three files are written: give --to FOLDER")
+            raise InputError("the conversion writes three files: give --to FOLDER")
         if diameter is not None:
-            raise InputError("--diameter is of a file of MuJoCo, and links have one: leave it out")
+            raise InputError("--diameter applies to MuJoCo files only: leave it out")
         arm = driven_arm(source, None, None, quiet=quiet)[1].arm
         files, lost = export_mjcf(arm)
         contents = {name: text.encode() for name, text in files.items()}

@@ -66,8 +66,8 @@ def say_doubts(path: Path | None, what: str, *, quiet: bool) -> None:
     verdict = stored_result(path)[1].get("verdict") or {}
     if verdict.get("status") in DOUBTED:
         typer.echo(
-            f"note: the model of {path} is {verdict['status']} by the verdict of its fit, so that "
-            f"{what} may be wrong: see giajax report {shlex.quote(str(path))}",
+            f"note: the model of {path} is {verdict['status']} according to the verdict of its "
+            f"fit, so {what} may be wrong: see giajax report {shlex.quote(str(path))}",
             err=True,
         )
 
@@ -108,40 +108,40 @@ _FEW = 3  # an array of more elements is shown by its range
 @command(
     """\b
 Examples:
-  giajax parameters         of the paper's arm
+  giajax parameters         the paper's arm
   giajax parameters --data joint.csv
-                            of the model of a run
+                            the model of a run
   giajax parameters --preset takeichi_20m_full
-                            of another preset
+                            another preset
   giajax parameters --arm my_arm.toml
-                            of your arm
+                            your own arm
   giajax parameters --json  as JSON
   giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
                             fit some of them
 
-value: what the preset, the file or the sidecar of the run says, or else the
-default. 'off': left out of the model, at no cost; --start or --free of a fit
-switches it on, with the value listed. An array has one element for each link
-or joint; links.mass[0] is its first one.
-'assumed': the paper gives no figure, and a fit should find one.""",
+value: from the preset, the file or the sidecar of the run, or else the
+default. 'off': left out of the model; --start or --free of a fit
+switches it on with the listed value. An array has one element for each link
+or joint; links.mass[0] is its first part of a path.
+'assumed': the paper gives no value; estimate it by a fit.""",
     group="data",
     old_words="--data",
 )
 def parameters(
-    data: Annotated[Path | None, "RUN.csv", "A run whose model it is. [the arm]"] = None,
-    arm: Annotated[Path | None, "FILE.toml", "The arm, and its sensors, of this file."] = None,
+    data: Annotated[Path | None, "RUN.csv", "A run whose model is listed. [the arm]"] = None,
+    arm: Annotated[Path | None, "FILE.toml", "File of the arm and its sensors."] = None,
     preset: Annotated[str | None, "NAME", "Preset of the arm. [takeichi_20m]"] = None,
     links: Annotated[int | None, "N", "Number of links of the arm."] = None,
     as_json: Json = False,
 ) -> None:
     """List every parameter of the arm, or of a run's model.
 
-    Path, unit, value, bounds and meaning of each.
+    Prints path, unit, value, bounds and meaning of each.
     """
     from ..recordings import Definition, read_run
 
     if data is not None and (arm or preset or links is not None):
-        raise InputError("a run says which model it is of: leave out --arm, --preset and --links")
+        raise InputError("a run determines its model: leave out --arm, --preset and --links")
     recorded = None if data is None else read_run(data)
     definition = arm_of(arm, preset)
     options = {"preset": preset, "links": links}
@@ -254,41 +254,43 @@ Examples:
                             how well a fit predicts another run
   giajax predict giajax-out/triple_pendulum --against published.toml \\
       --data validation_01.csv --data validation_02.csv
-                            two runs, beside another model
+                            two runs, compared with another model
   giajax predict my_arm.toml --data run.csv --refit-initial --to errors.csv
-                            from the start that fits best, into a table
+                            from the best initial state, into a table
   giajax predict giajax-out/run --data other.csv --without camera,wind
-                            a run with a camera and a wind of its own
+                            a run with another camera and another wind
 
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or
 other section) states a model with all its parameters.
---without names what another run has its own of: its sidecar states it, or it is left out.
-A NAME is a group of parameters (camera, encoder, marker), a path, or the end of
-one.""",
+--without names parameters that are taken from the run's sidecar, or left out.
+A NAME is a group of parameters (camera, encoder, marker), a path, or the last
+part of a path.""",
     group="fit",
     old={"--model": "MODEL", "--out": "--to"},
 )
 def predict(
-    model: Annotated[Path, argument("MODEL", "What predicts; see below.")],
+    model: Annotated[Path, argument("MODEL", "Model; see below.")],
     data: Annotated[list[Path], "RUN.csv", "A recorded run."],
-    against: Annotated[Path | None, "MODEL", "Another model, and the ratio of errors."] = None,
+    against: Annotated[Path | None, "MODEL", "Another model, for the ratio of errors."] = None,
     config: Annotated[
         Path | None,
         "FILE.toml",
-        "A fit definition whose [initial], [wind] and channels hold for the runs, too.",
+        "A fit definition with [initial], [wind] and channels for the runs.",
     ] = None,
     channels: OnlyChannels = None,
     rename: Renamed = None,
-    refit_initial: Annotated[bool, "Fit the initial state of each run first."] = False,
-    without: Annotated[Texts, "NAME,NAME", "Take this of the run, not of the fit."] = None,
-    to: Annotated[Path | None, "TABLE.csv", "Write the table there."] = None,
+    refit_initial: Annotated[bool, "First fit the initial state of each run."] = False,
+    without: Annotated[
+        Texts, "NAME,NAME", "Take this parameter from the run instead of the fit."
+    ] = None,
+    to: Annotated[Path | None, "TABLE.csv", "File for the table."] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Predict runs, and print the RMSE of each channel.
 
-    The runs start as their sidecars, or the fit definition, say: with first_row = true in
-    [initial] as in their first row.
+    The sidecars or the fit definition state the initial state; first_row = true in
+    [initial] takes it from the first row.
     """
     check_quiet(quiet, written=to, by="--to TABLE.csv")
     from ..recordings import (
@@ -304,7 +306,7 @@ def predict(
     if to is not None:
         check_output_files([to], force=force)
     if without and not is_result(model):
-        raise InputError(f"{model} is no fit that --without takes something from: leave it out")
+        raise InputError(f"{model} is not a fit, and --without applies only to fits: leave it out")
     sections = {} if config is None else Definition.load(config).contents()
     # What it says of the model is that of the fit, which `model` states already.
     about = ("model", *run_keys(model=False), "fit")

@@ -181,7 +181,7 @@ def on_result(
     none without. It has `workers` where it has tasks. All others are as of `command`.
     """
     shared: list[tuple[str, Any, Any]] = [
-        ("data", Annotated[Paths, "RUN.csv", "A fitted run, if it has moved."], None),
+        ("data", Annotated[Paths, "RUN.csv", "New path of a fitted run that was moved."], None),
         ("rename", Renamed, None),
         ("workers", workers and Workers, None),
         ("scheduler", workers and Scheduler, None),

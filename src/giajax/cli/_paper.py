@@ -32,12 +32,12 @@ _PAGE = "index.html"
     """\b
 Examples:
   giajax paper fig5 --out paper
-                            one figure, its numbers and their source
+                            one figure, its data and their source
   giajax paper all --out paper
-                            everything, and index.html; once more after it
-                            was stopped, and it goes on
+                            everything, and index.html; the same command
+                            continues it after it was stopped
   giajax paper table3 --inverse --out paper
-                            the arms of which the printed table is
+                            arms that give the printed table
 
 \b
 NAME is
@@ -47,31 +47,33 @@ NAME is
   fig10     the same with alpha and beta
   fig12     one link with hysteresis, without and with compensation
   fig19     links 2, 6, 12 and 20 in models, and a stand-in for the experiment
-  table3    how well the models follow it: the concordance with and without
-            air; with --inverse arms for which it would be as the paper prints
-            it (many minutes)
+  table3    agreement of the models with it: the concordance with and without
+            air; --inverse searches arms that give the values printed in the
+            paper (many minutes)
 
-Each writes NAME.png, NAME.csv and NAME.json, and says what is printed in the paper, assumed, or
-reconstructed.""",
+Each writes NAME.png, NAME.csv and NAME.json, and states which values are
+printed in the paper, assumed or reconstructed.""",
     group="paper",
 )
 def paper(
     name: Annotated[str, argument("NAME", "See below, or 'all'.")],
-    out: Annotated[Path, "DIR", "Folder for pictures and numbers."],
-    inverse: Annotated[bool, "Of table3: which arms give the numbers that are printed."] = False,
+    out: Annotated[Path, "DIR", "Folder for figures and tables."],
+    inverse: Annotated[bool, "For table3: search arms that give the printed values."] = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a figure or a table of the paper again.
+    """Reproduce a figure or a table of the paper.
 
-    From the functions that you would use for your own arm.
+    Uses the public functions of giajax, which also apply to your own arm.
     """
     from ..recordings import check_output_folder
 
     if name not in (*NAMES, _ALL):
         raise InputError(f"there is no figure '{name}': use one of {', '.join(NAMES)}, {_ALL}")
     if inverse and name != "table3":
-        raise InputError(f"--inverse is of table3, and not of {name}: leave it out, or say table3")
+        raise InputError(
+            f"--inverse applies to table3 only, not to {name}: leave it out, or give table3"
+        )
     names: tuple[str, ...] = (INVERSE,) if inverse else NAMES if name == _ALL else (name,)
     if name != _ALL:
         check_output_folder(out, _files(names), force=force)
@@ -86,7 +88,7 @@ def paper(
         own_page = bool(kept) and is_reproduction_page(out / _PAGE)
         check_output_folder(out, [*_files(names), *([] if own_page else [_PAGE])])
         if kept and not quiet:
-            text = f"{', '.join(kept)}: there and whole, and not made again (--force does)"
+            text = f"{', '.join(kept)}: complete, and kept (--force makes them again)"
             typer.echo(text, err=True)
     made = _made(names, out, force=force, quiet=quiet)
     written = _files(names)
@@ -135,27 +137,25 @@ Examples:
   giajax hysteresis --out fig12 --travel 20 --force
                             with another travel
   giajax fit --data fig12/recording.csv
-                            the fit that its inverse compensation is of
+                            the fit behind the inverse compensation
   giajax compensate fig12/result.json --target target.csv --to command.csv
-                            other commands by that fit
+                            other commands from that fit
 
-The folder gets fig12.png, its numbers in fig12.csv, errors.csv, the recording that both
-compensations were made from, and the fit of the inverse one.""",
+The folder contains fig12.png, its data in fig12.csv, errors.csv, the recording on which both
+compensations are based, and the fit of the inverse one.""",
     group="arm",
 )
 def hysteresis(
-    out: Annotated[Path, "DIR", "Where the files go."],
-    travel: Annotated[
-        float, "TRAVEL", "Travel within which eq. (12) changes its branch, deg."
-    ] = 40.0,
-    seed: Annotated[int, "N", "Of all noise.", 0] = 0,
+    out: Annotated[Path, "DIR", "Folder for the files."],
+    travel: Annotated[float, "TRAVEL", "Travel for a change of branch in eq. (12), deg."] = 40.0,
+    seed: Annotated[int, "N", "Seed of the noise.", 0] = 0,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Follow angles with a hysteretic joint, compensated or not.
+    """Track angles with a hysteretic joint, with compensation.
 
-    The experiment of the paper's section IV.A and fig. 12 on a simulated joint: eq. (12) and the
-    inverse of a modified Prandtl-Ishlinskii operator, judged on the paper's history and on
+    Simulates the experiment of the paper's section IV.A and fig. 12 on one joint. Eq. (12) and the
+    inverse of a modified Prandtl-Ishlinskii operator are compared on the paper's history and on
     another one with minor loops.
     """
     if not 0 < travel < math.inf:

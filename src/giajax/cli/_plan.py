@@ -39,54 +39,54 @@ _COMMAND, _PATH, _PAGE, _PICTURE = "command.csv", "path.csv", "plan.json", "plan
     """\b
 Examples:
   giajax plan --model giajax-out/run --pose 1=20 --pose 3=-10 --out planned
-                            to a pose, as fast as the limits allow, by a fit
+                            to a pose, as fast as the limits allow
   giajax plan --model my_arm.toml --tip 16,5,3 --out planned
-                            the tip to a place, in m
+                            the tip to a position, in m
   giajax plan --model my_arm.toml --pose 1=20 --duration 60 --out planned
-                            within 60 s, with as little swing as can be
+                            within 60 s, with the least swing
   giajax plan --model missions/naraha.toml --through housetop --out planned
-                            through the opening of a wall, clear of everything
+                            through the opening of a wall, without contact
   giajax synth --data planned/command.csv --model giajax-out/run \\
       --channels tip_z --to rehearsal.csv
-                            the arm of the fit, driven by the plan
+                            simulate the fitted arm with the plan
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
-states an arm. A pose is where the arm rests by commanded angles; joints that
-are left out are at 0. Writes
-  command.csv, command.toml   the command, which an operator can run
-  path.csv                    the expected way of the tip, with bands by a fit
-  plan.json, plan.png         what was found, beside the way there directly
-The air is still, and the arm rests when it begins. The largest rate of the
-paper's arm is not published: 2 deg/s are an assumption.""",
+states an arm. A pose is the equilibrium for commanded angles; other joints
+are at 0. Writes
+  command.csv, command.toml   the command for an operator
+  path.csv                    the expected path of the tip, with bands
+  plan.json, plan.png         the result, compared with a direct command
+The air is still, and the arm is initially at rest. The largest rate of the
+paper's arm is not published: 2 deg/s is an assumption.""",
     group="plan",
 )
 def plan(
     context: typer.Context,
     model: Annotated[Path, "MODEL", "The arm; see below."],
     out: Annotated[Path, "DIR", "Folder for the files."],
-    pose: Annotated[Texts, "JOINT=DEG", "Target: a commanded angle of its pose."] = None,
-    tip: Annotated[str | None, "X,Y,Z", "Target: a place of the tip, m."] = None,
+    pose: Annotated[Texts, "JOINT=DEG", "Target: commanded angle of a joint."] = None,
+    tip: Annotated[str | None, "X,Y,Z", "Target: position of the tip (m)."] = None,
     through: Annotated[str | None, "WALL", "Target: behind the opening of this wall."] = None,
-    begin: Annotated[Texts, "JOINT=DEG", "A commanded angle in the beginning. [0]"] = None,
-    duration: Annotated[
-        float | None, "S", "Of the command, with the least swing. [the least time]"
-    ] = None,
+    begin: Annotated[Texts, "JOINT=DEG", "Initial commanded angle of a joint. [0]"] = None,
+    duration: Annotated[float | None, "S", "Duration for the least swing. [the least time]"] = None,
     max_angle: Annotated[float, "DEG", "Largest commanded angle of a joint."] = 60.0,
     max_angle_rate: Annotated[float, "DEG/S", "Largest rate of a commanded angle."] = 2.0,
     max_pressure: Annotated[float | None, "KPA", "Largest pressure in a muscle."] = None,
-    clearance: Annotated[float, "M", "Least distance of links from obstacles."] = 0.2,
-    within: Annotated[float, "PERCENT", "Of the travel: there the tip is at rest."] = 2.0,
-    knots: Annotated[int, "N", "Straight pieces of the command.", 2] = 10,
-    draws: Annotated[int, "N", "Values of what the fit leaves open to look at.", 0] = 20,
+    clearance: Annotated[float, "M", "Least distance between links and obstacles."] = 0.2,
+    within: Annotated[
+        float, "PERCENT", "Settling band of the tip, as a share of its travel."
+    ] = 2.0,
+    knots: Annotated[int, "N", "Number of linear segments of the command.", 2] = 10,
+    draws: Annotated[int, "N", "Number of draws of uncertain parameters.", 0] = 20,
     as_json: Json = False,
     quiet: Quiet = False,
     force: Force = False,
 ) -> None:
     """Plan a command that brings the arm to rest at a target.
 
-    As fast as the limits of angles, rates, pressures and clearance allow, or with the least swing
-    within a duration; found by derivatives through the simulator.
+    The command is as fast as the limits of angles, rates, pressures and clearance allow, or has the
+    least swing within a duration. It is optimised with derivatives of the simulator.
     """
     from ..recordings import check_output_folder, write_run
 
@@ -94,8 +94,8 @@ def plan(
              if each]  # fmt: skip
     if len(given) != 1:
         raise InputError(
-            f"a plan has one target, and there are {len(given)}: give --pose, --tip or --through, "
-            "and one of them alone"
+            f"{len(given)} targets are given, but a plan has one: give exactly one of --pose, "
+            "--tip and --through"
         )
     files = [_COMMAND, "command.toml", _PATH, _PAGE, _PICTURE]
     check_output_folder(out, files, force=force)
@@ -166,7 +166,7 @@ def _angles(pairs: list[str] | None, option: str, joints: int) -> "np.ndarray":
             raise InputError(f"{option} '{name}=...' must be JOINT=DEG, such as 1=20: correct it")
         if not 1 <= int(name) <= joints:
             raise InputError(
-                f"{option} is of joint {name}, and the arm has joints 1 to {joints}: correct it"
+                f"{option} names joint {name}, but the arm has joints 1 to {joints}: correct it"
             )
         angles[int(name) - 1] = np.deg2rad(angle)
     return angles

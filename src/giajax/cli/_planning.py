@@ -62,28 +62,28 @@ _SENSITIVITY_FILES = ("sensitivity.png", "sensitivity.csv", "information.csv")
     """\b
 Examples:
   giajax sensitivity --parameter air.drag_coefficient --out drag
-                            of the paper's arm
+                            for the paper's arm
   giajax sensitivity --parameter air.drag_coefficient \\
       --parameter joints.pitch_stiffness --ramp 1=20 --ramp 9=-15@3:2 \\
       --noise position_m=0.02 --out both
-                            of two parameters, in another motion
+                            for two parameters and another motion
   giajax sensitivity --parameter camera.origin --arm my_arm.toml \\
       --channels tip --out camera
-                            of your arm, whose tip is filmed
+                            for your arm, with a filmed tip
   giajax sensitivity --data run.csv --parameter joints.damping --out recorded
-                            of a recorded run
+                            for a recorded run
 
-Without a run: the base joint to 30 deg within a second, all links filmed.
+Default motion: the base joint moves to 30 deg within 1 s; all links are filmed.
 Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.csv
-(share of each link, and the standard error with it alone).""",
+(share of each link, and the standard error from that link alone).""",
     group="plan",
     old_words="--data",
 )
 def sensitivity(
     parameter: Annotated[list[str], "PATH", "A parameter ('giajax parameters')."],
-    out: Annotated[Path, "DIR", "Folder for picture and tables."],
-    data: Annotated[Path | None, "RUN.csv", "A run of any model, as recorded."] = None,
-    arm: Annotated[Path | None, "FILE.toml", "The arm: [arm] of this file."] = None,
+    out: Annotated[Path, "DIR", "Folder for figure and tables."],
+    data: Annotated[Path | None, "RUN.csv", "A recorded run of any model."] = None,
+    arm: Annotated[Path | None, "FILE.toml", "File with the [arm]."] = None,
     links: Links = None,
     pairs: Settings = None,
     step: Annotated[Texts, "JOINT=DEG[@T]", "Step of a command."] = None,
@@ -92,20 +92,21 @@ def sensitivity(
     wind: Wind = None,
     duration: Annotated[float | None, "S", "Length of the run, s. [25]"] = None,
     rate: Annotated[float | None, "HZ", "Samples per second. [10]"] = None,
-    channels: Annotated[Texts, "CHANNEL", "Recorded: link06, tip, joints, all. [all]"] = None,
+    channels: Annotated[
+        Texts, "CHANNEL", "Recorded channels: link06, tip, joints, all. [all]"
+    ] = None,
     noise: Annotated[
         Texts,
         "KEY=VALUE",
-        "Standard deviation, by a key of [noise]. [the run's, or "
-        "position_m=0.01, angle_deg=0.5, pixel_px=2]",
+        "Standard deviation of a key of [noise]. [the run's, or position_m=0.01, angle_deg=0.5, "
+        "pixel_px=2]",
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Show when and where a motion responds to parameters.
 
-    How strongly, and what that is worth: the standard errors to expect of a fit, before anything
-    is recorded.
+    Computes sensitivities and, before a recording exists, the standard errors to expect from a fit.
     """
     from ..recordings import check_output_folder, read_run
 
@@ -114,7 +115,7 @@ def sensitivity(
     typed = settings(pairs)
     again = (arm, step, ramp, command, wind, links, duration, rate)
     if data is not None and any(value is not None and value != [] for value in again):
-        raise InputError("a run brings its own arm and motion: leave out the options for them")
+        raise InputError("a run determines arm and motion: leave out the options for them")
     recorded = None if data is None else read_run(data)
     sections = definition_from_options(arm, links, wind, quiet=quiet)
     replayed = replayed_run(command, sections, step or ramp)
@@ -179,7 +180,8 @@ def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) 
         known = (one for one in (options.get(name), stated, *usual) if one is not None)
         if (deviation := next(known, None)) is None:
             raise InputError(
-                f"the noise of {name} is not stated: state it in [noise] of the run, or by --noise"
+                f"the noise of {name} is not stated: state it in [noise] of the run, or with "
+                "--noise"
             )
         noises.append(deviation)
     return noises
@@ -222,7 +224,7 @@ def source_of(
         from ..models import capabilities
 
         if links is not None or changed:
-            raise InputError("a fit brings its own arm: leave out --links and --set")
+            raise InputError("a fit determines its arm: leave out --links and --set")
         fitted = load_result(source)
         model = capabilities.with_integration(fitted.model, solver=solver, tolerance=tolerance)
         # As the definition of the fit would have it, but for noise, which the fit has.
@@ -281,17 +283,17 @@ Examples:
                             after a fit
   giajax design --parameter air.drag_coefficient --joints 1,3 --max-angle 30 \\
       --max-angle-rate 30 --duration 25 --markers 3 --out next
-                            of the paper's arm, within limits
+                            for the paper's arm, within limits
   giajax design fits/base_step.toml --parameter air.drag_coefficient \\
       --parameter joints.pitch_stiffness --criterion D \\
       --channels link06_z,link20_z --out next
                             for two parameters of a fit definition
   giajax simulate --command next/command.csv --to rehearsal.csv
-                            rehearse it
+                            simulate the designed experiment
 
 SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML
-file whose [arm] states an arm; without it the preset. Writes command.csv,
-which an operator can run, with its sidecar, design.json and design.png.""",
+file whose [arm] states an arm; the default is the preset. Writes command.csv,
+the command for an operator, with its sidecar, design.json and design.png.""",
     group="plan",
     old={
         "--for": "--parameter",
@@ -302,47 +304,49 @@ which an operator can run, with its sidecar, design.json and design.png.""",
     },
 )
 def design(
-    parameter: Annotated[list[str], "PATH", "A parameter to find."],
+    parameter: Annotated[list[str], "PATH", "A parameter to estimate."],
     out: Annotated[Path, "DIR", "Folder for the files."],
     source: Annotated[Path | None, argument("SOURCE", "The arm or a fit of it; see below.")] = None,
     links: Links = None,
     pairs: Settings = None,
-    free: Annotated[Texts, "PATH", "What a fit will have free, too. [as the source's]"] = None,
+    free: Annotated[Texts, "PATH", "Further free parameters of the fit. [as in the source]"] = None,
     criterion: Annotated[
-        str | None, "c|A|D", "Error of one, of all by the trace, or the determinant. [c, or A]"
+        str | None, "c|A|D", "Criterion: error of one parameter, trace, or determinant. [c, or A]"
     ] = None,
     joints: Annotated[str, "N,N", "Joints that may be commanded."] = "1",
     max_angle: Annotated[float, "DEG", "Largest angle of a joint."] = 30.0,
     max_angle_rate: Annotated[float, "DEG/S", "Largest rate of a joint."] = 30.0,
     duration: Annotated[float, "S", "Length of the run, s."] = 25.0,
     rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
-    channels: Annotated[Texts, "CHANNEL", "May be recorded: link06, tip, link20_z. [all]"] = None,
-    markers: Annotated[int | None, "N", "How many links may be filmed. [all of them]"] = None,
+    channels: Annotated[
+        Texts, "CHANNEL", "Channels that may be recorded: link06, tip, link20_z. [all]"
+    ] = None,
+    markers: Annotated[int | None, "N", "Largest number of filmed links. [all of them]"] = None,
     noise: Annotated[
         Texts,
         "KEY=VALUE",
-        "Standard deviation, by a key of [noise]. [the fit's, or "
-        "position_m=0.01, angle_deg=0.5, pixel_px=2]",
+        "Standard deviation of a key of [noise]. [the fit's, or position_m=0.01, angle_deg=0.5, "
+        "pixel_px=2]",
     ] = None,
     relative_uncertainty: Annotated[
-        float | None, "SHARE", "How uncertain what is free is, over its value. [the fit's, or 0.2]"
+        float | None, "SHARE", "Relative uncertainty of the free parameters. [the fit's, or 0.2]"
     ] = None,
-    draws: Annotated[int, "N", "Values of what is uncertain to be robust over.", 1] = 4,
-    worst: Annotated[bool, "Lower the error of the worst draw, not the mean."] = False,
-    knots: Annotated[int | None, "N", "Turns of each joint. [15, or 30 for all]"] = None,
-    starts: Annotated[int, "N", "Commands that are compared first.", 1] = 6,
-    follow: Annotated[int, "N", "How many of them are followed.", 1] = 2,
-    max_iterations: Annotated[int, "N", "Steps of the optimiser, from each.", 1] = 25,
+    draws: Annotated[int, "N", "Number of draws of uncertain parameters for robustness.", 1] = 4,
+    worst: Annotated[bool, "Minimise the error of the worst draw, not the mean."] = False,
+    knots: Annotated[int | None, "N", "Number of turns of each joint. [15, or 30 for all]"] = None,
+    starts: Annotated[int, "N", "Number of commands compared first.", 1] = 6,
+    follow: Annotated[int, "N", "Number of commands that are optimised.", 1] = 2,
+    max_iterations: Annotated[int, "N", "Optimiser steps for each command.", 1] = 25,
     solver: Solver = "springs5",
     tolerance: Tolerance = 1e-6,
     as_json: Json = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find the command of the next experiment, and what to film.
+    """Design the next experiment: its command and its markers.
 
-    Within limits of angle, rate and time it most lowers the standard error of chosen parameters,
-    whatever they are within their present uncertainty. Ctrl-C keeps the best so far.
+    Within limits of angle, rate and time, it minimises the standard error of chosen parameters,
+    averaged over their present uncertainty. Ctrl-C keeps the best result so far.
     """
     from ..recordings import check_output_folder, stored_result, write_run
 
@@ -436,10 +440,10 @@ def _show_design(found: "Design") -> None:
     )
     typer.echo(f"criterion {found.criterion}: {found.summary()}")
     if found.designed.criterion is None:
-        typer.echo("record more, have less free, or state priors")
+        typer.echo("record more data, free fewer parameters, or state priors")
     else:
         low, high = found.spread
-        within = f"{low:.2f} to {high:.2f} times the error foreseen"
-        typer.echo(f"over {found.draws} draws of what is uncertain {within}")
+        within = f"{low:.2f} to {high:.2f} times the predicted error"
+        typer.echo(f"over {found.draws} draws of the uncertain parameters {within}")
     if found.status == "iteration limit":
-        typer.echo("stopped at the iteration limit: --max-iterations gives the search more steps")
+        typer.echo("stopped at the iteration limit: raise --max-iterations")

@@ -37,37 +37,37 @@ _PAGE, _PICTURE = "shape.json", "shape.png"
     """\b
 Examples:
   giajax shape command.csv --model giajax-out/run --out shaped
-                            ZV, ZVD and EI, with what the fit leaves open
+                            ZV, ZVD and EI, with uncertainty from the fit
   giajax shape command.csv --model my_arm.toml --shaper ZVD --out shaped
-                            one of them, for an arm that is stated
+                            one shaper, for the arm of a file
   giajax synth --data shaped/command_zvd.csv --model giajax-out/run \\
       --channels tip_z --to rehearsal.csv
-                            the arm of the fit, driven by one of them
+                            simulate the fitted arm with a shaped command
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
-states an arm; without it the sidecar's is taken. Writes command_zv.csv and so
-on, which an operator can run, shape.json and shape.png. The residual is the
-largest distance of the tip from where it comes to rest, once the command has
+states an arm; the default is the sidecar's arm. Writes command_zv.csv and so
+on (commands for an operator), shape.json and shape.png. The residual is the
+largest distance of the tip from its final position after the command has
 ended, in still air.""",
     group="plan",
 )
 def shape(
-    run: Annotated[Path, argument("COMMAND.csv", "A run whose commands are shaped.")],
+    run: Annotated[Path, argument("COMMAND.csv", "A run with the commands to shape.")],
     out: Annotated[Path, "DIR", "Folder for the files."],
     model: Annotated[Path | None, "MODEL", "The arm; see below."] = None,
     shaper: Annotated[Texts, "NAME", "ZV, ZVD or EI. [all]"] = None,
-    tune: Annotated[bool, "Search for period and damping with simulations."] = True,
-    draws: Annotated[int, "N", "Values of what the fit leaves open to look at.", 0] = 20,
+    tune: Annotated[bool, "Search period and damping by simulation."] = True,
+    draws: Annotated[int, "N", "Number of draws of uncertain parameters.", 0] = 20,
     rename: Renamed = None,
     as_json: Json = False,
     quiet: Quiet = False,
     force: Force = False,
 ) -> None:
-    """Shape a command so that the arm does not swing after it.
+    """Shape a command to reduce the swing after it.
 
-    The command is convolved with a few impulses, by the modes of the arm where it ends and by how
-    much the air damps them.
+    The command is convolved with a few impulses. Their times and sizes follow from period and
+    damping of the arm's modes at the final pose, where the air damps them.
     """
     from ..recordings import check_output_folder, parse_rename, read_run, stored_result, write_run
 
@@ -142,8 +142,8 @@ def _command(run: "Run", source: Any) -> "Command":
         joint = run.channels[name].index or 0
         if not 1 <= joint <= count:
             raise InputError(
-                f"{name} is of joint {joint}, and the arm has joints 1 to {count}: "
-                "correct the column, or give another arm"
+                f"{name} names joint {joint}, but the arm has joints 1 to {count}: correct the "
+                "column, or give another arm"
             )
         angles[:, joint - 1] = values
     corners = logged(run.times - run.times[0], angles, interpolation)

@@ -73,11 +73,9 @@ def gusts_of(
     source = definition if replayed is None else replayed.definition
     mean = source.section(WindSection).velocity_m_per_s
     if replayed is not None and replayed.winds:
-        raise InputError(f"'{replayed.name}' has recorded a wind: leave --gusts out")
+        raise InputError(f"'{replayed.name}' has a recorded wind: leave --gusts out")
     if mean is None:
-        raise InputError(
-            "--gusts are about a constant wind, and none is there: give it by --wind X,Y,Z"
-        )
+        raise InputError("--gusts need a constant wind, and none is given: add --wind X,Y,Z")
     if coherence is not None and not 0 <= coherence < math.inf:
         raise InputError(f"--coherence is {coherence:g}: give a decay of at least 0, such as 12")
     intensity = parts if len(parts) == 3 else parts[0]
@@ -90,7 +88,7 @@ def gusts_of(
     # Of a direction without gusts nothing is left out.
     shares = [f"{along:.1%} along"] * (parts[0] > 0) + [f"{across:.1%} across"] * any(parts[-2:])
     return wind, (
-        f"gusts quicker than {4 * scales['interval']:g} s are left out, of the variance: "
+        f"gusts faster than {4 * scales['interval']:g} s are left out, as a share of the variance: "
         f"{', '.join(shares)} the mean wind"
     )
 
@@ -132,13 +130,13 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
         channel = Channel.named(name)
         if channel.kind not in _MEASURED and channel.quantity != "pixel":
             raise InputError(
-                f"--channels {name!r} names no channel that an arm is measured by: give link06, "
-                "link06_z, tip, joint03_angle, joint03_rate, joints or all, or of a camera side.tip"
+                f"--channels {name!r} is not a channel of an arm: give link06, link06_z, "
+                "tip, joint03_angle, joint03_rate, joints or all, or of a camera side.tip"
             )
         if channel.kind != "mark_pixel" and (channel.index or 1) > count:
             part = "joint" if channel.kind.startswith("joint") else "link"
             raise InputError(
-                f"--channels {name!r} is of {part} {channel.index}, but the arm has {count} links: "
+                f"--channels {name!r} names {part} {channel.index}, but the arm has {count} links: "
                 "correct the number, or simulate a longer arm"
             )
     return list(dict.fromkeys(names))
@@ -187,7 +185,7 @@ def replayed_run(
         return None
     if moves:
         raise InputError(
-            "--command gives the commands, and so do --step and --ramp: give one of them"
+            "--command is given together with --step or --ramp: give only one source of commands"
         )
     # The arm that recorded the run says which joints there are, where the sidecar describes it.
     recorded = bool(read_sidecar(command).section(ArmSection).contents())
@@ -273,7 +271,7 @@ def facts_of(
     blown = velocity or model.arm.air.wind_field is not None
     if not (driven or initial or blown or float(model.arm.gravity)):
         raise InputError(
-            "nothing moves the arm: give --step, --ramp, --command or --wind, or --arm with an "
+            "the arm does not move: give --step, --ramp, --command or --wind, or --arm with an "
             "[initial] state"
         )
     if initial:
@@ -299,23 +297,25 @@ Examples:
       --noise position_m=0.02 --noise angle_deg=0.5 --to run.csv
                             there and back, with noise and gaps
   giajax simulate --command logged.csv --set joints.damping=0.1 --to run.csv
-                            by the commands of a recording
+                            with the commands of a recording
   giajax simulate --arm my_arm.toml --ramp 2=-20@1:3 --channels all \\
       --set camera.origin=0.1,0,0 --to run.csv
-                            your arm, every link of it
+                            your arm, with all links recorded
   giajax simulate --wind 0,0.2,0 --gusts 0.3:5 --coherence 12 --to run.csv
-                            at rest in gusts
+                            without commands, in gusts
 
 CHANNEL is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
 'joints' (all angles) or 'all' (every link). A row is added at each corner of a
-command that no sample falls on.""",
+command that lies between samples.""",
     group="data",
     old={"--out": "--to"},
 )
 def simulate(
     context: typer.Context,
     to: ToRun,
-    arm: Annotated[Path | None, "FILE.toml", "Its [arm], [initial], [command] and [wind]."] = None,
+    arm: Annotated[
+        Path | None, "FILE.toml", "File with [arm], [initial], [command] and [wind]."
+    ] = None,
     links: Links = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter ('giajax parameters').", "--set"] = None,
     step: Annotated[Texts, "JOINT=DEG[@T]", "Step of a command, at 0.5 s by default."] = None,
@@ -327,24 +327,24 @@ def simulate(
     command: Replayed = None,
     wind: Wind = None,
     gusts: Annotated[
-        str | None, "I:L", "Gusts about --wind: intensity and length scale, m."
+        str | None, "I:L", "Gusts about --wind: intensity and length scale (m)."
     ] = None,
     coherence: Annotated[
         float | None,
         "DECAY",
-        "Gusts of each link, coherent over distances with this decay (IEC 61400-1: 12); "
-        "else they are the same along the whole arm.",
+        "Decay of the coherence of gusts along the arm (IEC 61400-1: 12). [the same gusts along "
+        "the whole arm]",
     ] = None,
     duration: Annotated[
         float | None, "S", "Length of the run, s. [25, or that of --command]"
     ] = None,
     rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
     channels: Annotated[
-        Texts, "CHANNEL", "What is recorded, see below. [default: links 2, 6, 12, 20 and tip]"
+        Texts, "CHANNEL", "Channels to record; see below. [default: links 2, 6, 12, 20 and tip]"
     ] = None,
-    noise: Annotated[Texts, "KEY=VALUE", "Standard deviation, by a key of [noise]."] = None,
-    missing: Annotated[float, "PERCENT", "Share of each channel that is left empty."] = 0.0,
-    seed: Annotated[int, "N", "Of noise, gaps and gusts.", 0] = 0,
+    noise: Annotated[Texts, "KEY=VALUE", "Standard deviation of a key of [noise]."] = None,
+    missing: Annotated[float, "PERCENT", "Share of missing samples in each channel."] = 0.0,
+    seed: Annotated[int, "N", "Seed of noise, gaps and gusts.", 0] = 0,
     solver: Solver = "springs5",
     tolerance: Tolerance = 1e-7,
     digits: Digits = 9,
@@ -353,7 +353,7 @@ def simulate(
 ) -> None:
     """Simulate an arm and write a run that `giajax fit` reads.
 
-    The sidecar beside it states the arm, the noise, the truth and this command line.
+    The sidecar beside it states the arm, the noise, the true values and the command line.
     """
     from ..recordings import Definition, check_output_run
 
@@ -376,7 +376,7 @@ def simulate(
     if step or ramp:
         drives = [moves_of(step or [], ramp or [], count, duration)]
     if coherence is not None and gusts is None:
-        raise InputError("--coherence is of gusts, and there are none: give --gusts, too")
+        raise InputError("--coherence applies to gusts, and none are given: add --gusts")
     left_out = ""
     if gusts is not None:
         sampling: dict[str, Any] = {"start": start, "duration": duration, "rate": rate}
@@ -447,49 +447,51 @@ Examples:
                             with white noise
   giajax synth --data run.csv --model giajax-out/run \\
       --correlated position_m=0.02 --to new.csv
-                            as a fit predicts it, with drifting noise
+                            predicted by a fit, with correlated noise
   giajax synth --data run.csv --set camera.rotation=0,0.087,0 \\
       --set camera.delay=0.05 --to new.csv
-                            by a camera that is turned and late
+                            with a rotated and delayed camera
   giajax synth --data run.csv --missing 5 --bursts 10 --burst-duration 2 \\
       --to new.csv          with gaps
   giajax synth --data run.csv --noise position_m=0.01 --outliers 1 \\
       --outlier-size position_m=0.5 --to new.csv
                             with outliers
 
-The run gives commands, times, columns and sidecar; any model will do. A truth
-of --set stands in [truth] of the new sidecar alone, so that a fit has something
-to find. KEY is one of the keys of [noise]: position_m, angle_deg, or a column
+Commands, times, columns and sidecar are those of the run. A true value
+from --set is written only to [truth] of the new sidecar, so that a fit can
+estimate it. KEY is one of the keys of [noise]: position_m, angle_deg, or a column
 such as link06_z_mm. MODEL is the folder of a fit, its result.json, or a TOML
 file whose [arm] (or other section) states a model with all its parameters.
-'giajax simulate' makes a first run from steps and ramps.""",
+'giajax simulate' creates a first run from steps and ramps.""",
     group="data",
     old={"--out": "--to"},
     old_words="--data",
 )
 def synth(
-    data: Annotated[Path, "RUN.csv", "The run to record again."],
+    data: Annotated[Path, "RUN.csv", "The run to simulate again."],
     to: ToRun,
-    model: Annotated[Path | None, "MODEL", "What is true; see below. [the run's own model]"] = None,
-    pairs: Annotated[Texts, "PATH=VALUE", "A parameter of the truth.", "--set"] = None,
+    model: Annotated[
+        Path | None, "MODEL", "The true model; see below. [the run's own model]"
+    ] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "True value of a parameter.", "--set"] = None,
     channels: Annotated[Texts, "CHANNEL", "A channel to record. [those of the run]"] = None,
     noise: Annotated[Texts, "KEY=VALUE", "Standard deviation of white noise."] = None,
-    correlated: Annotated[Texts, "KEY=VALUE", "Standard deviation of drifting noise."] = None,
-    correlation_time: Annotated[float, "S", "How long a drift lasts, s."] = 0.5,
-    missing: Annotated[float, "PERCENT", "Cells that are empty here and there."] = 0.0,
-    bursts: Annotated[float, "PERCENT", "Samples of a link or joint lost in stretches."] = 0.0,
-    burst_duration: Annotated[float, "S", "Length of such a stretch, s."] = 1.0,
-    outliers: Annotated[float, "PERCENT", "Cells that are far off."] = 0.0,
-    outlier_size: Annotated[Texts, "KEY=VALUE", "How far."] = None,
-    seed: Annotated[int, "N", "Of all errors.", 0] = 0,
+    correlated: Annotated[Texts, "KEY=VALUE", "Standard deviation of correlated noise."] = None,
+    correlation_time: Annotated[float, "S", "Correlation time of that noise (s)."] = 0.5,
+    missing: Annotated[float, "PERCENT", "Share of single missing cells."] = 0.0,
+    bursts: Annotated[float, "PERCENT", "Share of samples missing in bursts."] = 0.0,
+    burst_duration: Annotated[float, "S", "Length of a burst (s)."] = 1.0,
+    outliers: Annotated[float, "PERCENT", "Share of outliers."] = 0.0,
+    outlier_size: Annotated[Texts, "KEY=VALUE", "Distance of the outliers."] = None,
+    seed: Annotated[int, "N", "Seed of all errors.", 0] = 0,
     digits: Digits = 9,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Record a run again, with errors of your choice.
+    """Simulate a run again, with measurement errors of your choice.
 
-    As its model or a fit predicts it, for a run of any model. Tests what a fit makes of noise,
-    gaps, outliers and a frame that is off, before the experiment does.
+    Uses the run's model or a fit, for a run of any model. Tests the effect of noise,
+    gaps, outliers and a misaligned frame on a fit before the experiment.
     """
     from ..recordings import check_output_run, read_run
 

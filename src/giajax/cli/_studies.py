@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     """\b
 Examples:
   giajax profile giajax-out/run
-                            all that was free
+                            all free parameters
   giajax profile giajax-out/run --parameter air.drag_coefficient
                             one parameter
   giajax profile giajax-out/run --level 0.68 --force
@@ -44,28 +44,28 @@ Examples:
                             in two processes
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
-where they were. Each PATH, a free parameter or a derived quantity, is held at
-values ever farther from its estimate while all others are fitted; without a
-PATH, all free parameters of the model.
+their original paths. Each PATH, a free parameter or a derived quantity, is fixed at
+increasing distances from its estimate while all others are fitted. Without a
+PATH, all free parameters are profiled.
 Writes profiles.json and profiles.png beside the result, where 'giajax report'
-finds them. What is there of the same fit is kept: further paths are added, and
-after Ctrl-C the same command goes on. --force profiles again.""",
+finds them. Existing profiles of the same fit are kept, further paths are added, and
+after Ctrl-C the same command continues. --force profiles again.""",
     group="trust",
     workers=True,
-    folder="Keep each side there; what is there is not done again.",
+    folder="Folder that keeps each finished side.",
     figures="Draw profiles.png.",
     as_json=True,
     old_words="--parameter",
 )
 def profile(
     given: OnResult,
-    parameter: Annotated[Texts, "PATH", "What to profile (all that was free)."] = None,
+    parameter: Annotated[Texts, "PATH", "Parameter to profile (all free parameters)."] = None,
     level: Annotated[float, "P", "Level of the intervals, between 0 and 1."] = 0.95,
 ) -> None:
-    """Show how far each parameter can go until the fit is too bad.
+    """Compute profile-likelihood intervals of parameters.
 
-    However much the other parameters help: the interval to believe where that of the standard
-    error is doubtful, at bounds and in valleys that bend.
+    All other parameters are fitted again at each value. Use these intervals where those of the
+    standard error are doubtful: at bounds and for curved correlations.
     """
     from ..recordings import check_output_files, check_output_folder
 
@@ -91,7 +91,9 @@ def profile(
     files = record_files(kept, fitted, path, figures=given.figures and not stopped)
     given.finish(found, files, force=True)
     if stopped:
-        typer.echo("giajax: what was found is kept, and the same command goes on", err=True)
+        typer.echo(
+            "giajax: the results so far are kept: run the same command to continue", err=True
+        )
         raise typer.Exit(stopped_status())
 
 
@@ -111,7 +113,7 @@ def _before(path: Path, result: "FitResult", level: float, *, force: bool) -> "P
         return before
     if not force:
         what = "another fit" if before.level == level else f"the level {before.level:g}"
-        raise InputError(f"{path} is of {what}: give --force to write over it")
+        raise InputError(f"{path} belongs to {what}: give --force to overwrite it")
     return None
 
 
@@ -128,24 +130,25 @@ Examples:
                             into another folder
 
 RESULT is the folder of a fit, or its result.json. Writes posterior.json, the
-draws for ArviZ (posterior.nc), pictures, and bands of every channel as CSV.
-Each chain has a file in posterior_chains: the same command goes on after Ctrl-C,
-and with more --chains keeps those that are there. Needs pip install 'giajax[posterior]'.""",
+draws for ArviZ (posterior.nc), figures, and bands of every channel as CSV.
+Each chain has a file in posterior_chains. The same command continues after Ctrl-C,
+and with more --chains it keeps the existing ones. Needs pip install 'giajax[posterior]'.""",
     group="trust",
     workers=True,
-    out="Folder for files (that of the result).",
+    out="Folder for the files (that of the result).",
     as_json=True,
 )
 def posterior(
     given: OnResult,
     chains: Annotated[int, "N", "Chains.", 1] = 4,
-    draws: Annotated[int, "N", "Draws of each chain.", 8] = 500,
-    warmup: Annotated[int, "N", "Transitions before them, to adapt.", 0] = 200,
-    seed: Annotated[int, "N", "Of the random numbers.", 0] = 0,
+    draws: Annotated[int, "N", "Number of draws in each chain.", 8] = 500,
+    warmup: Annotated[int, "N", "Number of warm-up transitions.", 0] = 200,
+    seed: Annotated[int, "N", "Seed of the random numbers.", 0] = 0,
 ) -> None:
-    """Draw from the posterior of the parameters of a fit.
+    """Sample the posterior of the parameters of a fit.
 
-    Intervals that need no straight line: near a bound, along a bent valley, with priors.
+    Its intervals do not assume a linear model: use them near bounds, for curved correlations and
+    with priors.
     """
     from ..recordings import check_output_folder, make_folder
 
@@ -193,7 +196,7 @@ def _is_unfinished(path: Path, result: "FitResult") -> bool:
 # Repetitions of a self-test: the spread within 7 %, in about a minute for a fit of some seconds.
 _SELF_TEST = 96
 
-_KEPT = "Keep each task there; what is there is not done again."
+_KEPT = "Folder that keeps each finished task."
 
 
 @on_result(
@@ -204,33 +207,33 @@ Examples:
   giajax bootstrap giajax-out/run --size 400 --workers 2
                             more repetitions, in two processes
   giajax bootstrap giajax-out/run --block --out blocks
-                            with blocks of the residuals, into another folder
+                            with blocks of residuals, into another folder
   giajax bootstrap giajax-out/run --whole --size 100 --folder repetitions
-                            whole fits, each kept as it is made
+                            whole fits, each kept in a folder
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
-where they were. Writes bootstrap.json and bootstrap.png beside the result, where
-giajax report finds them. Ctrl-C keeps what was done; with --folder DIR the same
-command and --force go on from there.""",
+their original paths. Writes bootstrap.json and bootstrap.png beside the result, where
+giajax report finds them. Ctrl-C keeps the finished repetitions; with --folder DIR,
+the same command with --force continues from there.""",
     group="trust",
     workers=True,
     folder=_KEPT,
-    out="Where bootstrap.json goes (that of RESULT).",
-    figures="Draw the repetitions.",
+    out="Folder for bootstrap.json (that of RESULT).",
+    figures="Draw a figure of the repetitions.",
     as_json=True,
     old={"--out FILE.json": "--out"},
 )
 def bootstrap(
     given: OnResult,
     size: Annotated[int, "N", "Repetitions.", 2] = 200,
-    block: Annotated[bool, "With blocks of the residuals, not noise of a model."] = False,
-    whole: Annotated[bool, "Fit each as the data were, noise and all."] = False,
-    seed: Annotated[int, "N", "Of all random numbers.", 0] = 0,
+    block: Annotated[bool, "Resample blocks of residuals instead of model noise."] = False,
+    whole: Annotated[bool, "Repeat the whole fit, including noise estimation."] = False,
+    seed: Annotated[int, "N", "Seed of the random numbers.", 0] = 0,
 ) -> None:
-    """Repeat a fit with noise drawn anew: are its errors right?
+    """Check the errors of a fit by refits with new noise.
 
-    And does it come back? Bias, spread and intervals of the repetitions, and how often the 95 %
-    interval holds the truth.
+    Computes bias, spread and intervals of the repetitions, and the coverage of the 95 %
+    intervals.
     """
     method = "block" if block else "parametric"
     given.record("bootstrap", size=size, method=method, whole=whole, seed=seed)
@@ -247,7 +250,7 @@ def self_test(
     from ..studies import bootstrap as repeat
 
     if shown:
-        typer.echo("\nself-test: the fit repeated with noise drawn anew", err=True)
+        typer.echo("\nself-test: the fit repeated with new noise", err=True)
     progress = ManyProgress("parts") if shown else None
     try:
         found = repeat(result, runs, size=_SELF_TEST, progress=progress)
@@ -268,31 +271,31 @@ Examples:
   giajax influence giajax-out/run
                             by one step from the optimum
   giajax influence giajax-out/both --exact --workers 2
-                            by fits without each
+                            by refits without each part
   giajax influence giajax-out/run --spans 20 --out spans
-                            of shorter spans of time, into another folder
+                            with shorter time spans, into another folder
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
-where they were. Writes influence.json and influence.png beside the result, where
+their original paths. Writes influence.json and influence.png beside the result, where
 giajax report finds them.""",
     group="trust",
     workers=True,
     folder=_KEPT,
-    out="Where influence.json goes (that of RESULT).",
+    out="Folder for influence.json (that of RESULT).",
     figures="Draw a map.",
     as_json=True,
     old={"--most": "--rows", "--out FILE.json": "--out"},
 )
 def influence(
     given: OnResult,
-    exact: Annotated[bool, "Fit without each marker, channel and span, too."] = False,
-    spans: Annotated[int, "N", "Spans of time of each run; 1 for none.", 1] = 10,
-    rows: Annotated[int, "N", "Rows of the table.", 1] = 20,
+    exact: Annotated[bool, "Repeat the fit without each marker, channel and span."] = False,
+    spans: Annotated[int, "N", "Number of time spans of each run; 1 for none.", 1] = 10,
+    rows: Annotated[int, "N", "Number of table rows.", 1] = 20,
 ) -> None:
-    """Tell what each part of the data does to each parameter.
+    """Show the influence of each part of the data on the estimates.
 
-    Without a run, a marker, a channel or a span of time, how far would the parameter move, and how
-    large would its error be?
+    Computes the change of each parameter and of its error if a run, a marker, a channel or a time
+    span isleft out.
     """
     given.record("influence", most=rows, exact=exact, spans=spans)
 
@@ -301,25 +304,25 @@ def influence(
     """\b
 Examples:
   giajax suspects giajax-out/run
-                            a test of each, without a fit
+                            test each without a fit
   giajax suspects giajax-out/run --ladder
-                            fit the best of them, and ask again
+                            fit the best of them, and test again
   giajax suspects giajax-out/run --ladder --tries 1
                             with one fit for each step
   giajax suspects giajax-out/run --ladder --validation other.csv
-                            judged by another run
+                            validated on another run
   giajax suspects giajax-out/run --systematic --uncertainty links.mass=0.002
-                            what an uncertain mass does to the parameters
+                            the effect of an uncertain mass on the estimates
   giajax suspects giajax-out/run --json
                             as JSON
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
-where they were. The most promising suspect comes first: what lowers chi-square most.
---ladder fits the first few, takes the one whose fit has the lowest BIC, asks again,
-and so on, as long as BIC falls: minutes for each step of a long arm, and fewer with
---tries 1, which takes the first one at its word.""",
+their original paths. The suspect with the largest decrease of chi-square comes first.
+--ladder fits the first few, keeps the one with the lowest BIC, tests again,
+and so on as long as BIC decreases. A step takes minutes for a long arm, and less with
+--tries 1, which fits only the first suspect.""",
     group="trust",
-    out="Write the result with its suspects there, as suspects.json.",
+    out="Folder for the result with its suspects, suspects.json.",
     as_json=True,
     old={
         "--held-out": "--validation",
@@ -329,19 +332,21 @@ and so on, as long as BIC falls: minutes for each step of a long arm, and fewer 
 )
 def suspects(
     given: OnResult,
-    each: Annotated[Texts, "PATH", "Test the elements of this array one by one, too."] = None,
-    systematic: Annotated[bool, "Show what held numbers do to the fitted ones."] = False,
-    uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a held number."] = None,
+    each: Annotated[Texts, "PATH", "Also test the elements of this array one by one."] = None,
+    systematic: Annotated[bool, "Show the effect of fixed parameters on the fitted ones."] = False,
+    uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a fixed parameter."] = None,
     ladder: Annotated[bool, "Fit the most promising suspects in turn."] = False,
-    validation: Annotated[Paths, "RUN.csv", "A run to judge the ladder by."] = None,
-    rows: Annotated[int, "N", "Rows of the table.", 1] = 8,
-    max_steps: Annotated[int, "N", "Steps of the ladder at most.", 1] = 8,
-    tries: Annotated[int | None, "N", "Suspects that each step of the ladder fits (3).", 1] = None,
+    validation: Annotated[Paths, "RUN.csv", "A run for validation of the ladder."] = None,
+    rows: Annotated[int, "N", "Number of table rows.", 1] = 8,
+    max_steps: Annotated[int, "N", "Largest number of ladder steps.", 1] = 8,
+    tries: Annotated[
+        int | None, "N", "Number of suspects fitted at each ladder step (3).", 1
+    ] = None,
 ) -> None:
-    """Test what a fit held, switched off or left out.
+    """Test parameters that a fit fixed, switched off or omitted.
 
-    Which of it would lower chi-square, and to which value one step leads: added mass, a late
-    camera, wind, friction, swapped axes and all else that the model knows.
+    Estimates the decrease of chi-square and the value after one step for each: added mass, camera
+    delay, wind, friction, swapped axes and every other effect of the model.
     """
     from ..recordings import Definition, make_folder, read_runs, write_files
     from ..tasks import held_out_runs
@@ -350,9 +355,9 @@ def suspects(
     check_quiet(given.quiet, written=given.out, as_json=given.as_json, by="--out DIR or --json")
     path = None if given.out is None else given.checked("suspects")
     if validation and not ladder:
-        raise typer.BadParameter("--validation judges the fits of a ladder: add --ladder")
+        raise typer.BadParameter("--validation applies to the fits of a ladder: add --ladder")
     if tries is not None and not ladder:
-        raise typer.BadParameter("--tries is how many fits a step of a ladder makes: add --ladder")
+        raise typer.BadParameter("--tries applies to the steps of a ladder: add --ladder")
     fitted, runs = given.fitted, given.runs
     from ..report import (
         SUSPECT_HEADINGS,
@@ -374,7 +379,7 @@ def suspects(
             print()
         print("\n".join(suspect_summary(found)))
         if systematic or deviations:
-            print("\nwhat a held number moves, in standard errors:")
+            print("\neffect of a fixed parameter's uncertainty, in standard errors:")
             print_table(*systematic_table(fitted))
     steps = None
     if ladder:

@@ -30,40 +30,40 @@ _ENDINGS = ("converged", "not_converged", "failed", "stopped")
     """\b
 Examples:
   giajax sweep plan.toml --dry-run
-                            what it would fit
+                            list the fits
   giajax sweep plan.toml --workers 4
                             in four processes
   giajax sweep plan.toml --out masses --scheduler tcp://head:8786
                             on a cluster, into the folder masses
 
 \b
-A plan names a fit definition and what differs between its fits:
+A plan names a fit definition and the values that differ between fits:
   fit = "base_step.toml"
   [grid]
   loss = ["linear", "huber"]
   [grid.fix]
   "links.mass" = { from = 0.04, to = 0.06, count = 5 }
 
-The same command goes on where a sweep was stopped or killed, and after the plan
-has grown. DIR/sweep.parquet has one row a fit, DIR/fits a file of each.
+The same command continues a sweep that was stopped or killed, or whose plan
+has grown. DIR/sweep.parquet has one row for each fit, DIR/fits one file.
 
 \b
-Exit status: 0 each fit was done; 1 one could not be (its row says why);
+Exit status: 0 all fits were done; 1 a fit failed (its row states why);
 2 bad input or usage; 130 interrupted, 143 by SIGTERM.""",
     group="fit",
 )
 def sweep(
-    plan: Annotated[Path, argument("PLAN", "What to fit; see below.")],
-    out: Annotated[Path | None, "DIR", "Where the table goes (giajax-out/PLAN)."] = None,
+    plan: Annotated[Path, argument("PLAN", "Plan of the fits; see below.")],
+    out: Annotated[Path | None, "DIR", "Folder for the table (giajax-out/PLAN)."] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    dry_run: Annotated[bool, "List what would be fitted, and fit nothing."] = False,
+    dry_run: Annotated[bool, "List the fits without running them."] = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Fit one definition many times.
 
-    With other values, runs or options each time. On one core, on several (--workers), or on the
+    Each fit has other values, runs or options. Runs on one core, on several (--workers), or on the
     machines of a cluster (--scheduler).
     """
     from ..runtime.execution import open_executor
@@ -85,7 +85,7 @@ def sweep(
         said = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n)
         print(f"\n{len(table)} fits: {said}\nwrote {folder / TABLE}")
     if counts["stopped"]:
-        typer.echo("giajax: what is done is kept: the same command goes on", err=True)
+        typer.echo("giajax: the finished fits are kept: run the same command to continue", err=True)
         raise typer.Exit(stopped_status())
     raise typer.Exit(1 if counts["failed"] else 0)
 

@@ -45,28 +45,28 @@ _SHARE = 0.3  # of a parameter: its deviation, where none is stated
     """\b
 Examples:
   giajax track run.csv --model giajax-out/run --out tracked
-                            by the arm of a fit, in still air
+                            with the fitted arm, in still air
   giajax track run.csv --model giajax-out/run --wind 0,0.2,0 --out tracked
-                            in an unknown wind with gusts, rather across
+                            in an unknown wind with gusts, roughly along y
   giajax track run.csv --latency 0.5 --bias position_m=0.05 --out tracked
-                            what a controller knows of a late, shifted picture
+                            the estimate from a delayed, shifted camera
   giajax track run.csv --model my_arm.toml \\
       --uncertain air.drag_coefficient=0.1 --out tracked
-                            with a drag that is 0.1 uncertain
+                            with a standard deviation of 0.1 for the drag
   giajax track run.csv --model my_arm.toml \\
       --free joints.pitch_stiffness --live 30 --out tracked
-                            while run.csv is being recorded: a line a second
+                            while run.csv is being recorded
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
-states an arm; without it the sidecar's is taken. The errors of a fit count as
+states an arm; the default is the sidecar's arm. The errors of a fit count as
 uncertainty of its parameters. Writes estimate.csv, a run of the smoothed
 states, bands.csv with the deviations of each, track.json, track.png and
 track.html (with the extra report).
 
 \b
 With --live, or with - for standard input, a line is printed for each second
-that is recorded; the files are written when the run has ended or at Ctrl-C.""",
+of the recording; the files are written at the end of the run or at Ctrl-C.""",
     group="plan",
 )
 def track(
@@ -76,7 +76,7 @@ def track(
     mean: Annotated[
         str | None,
         "X,Y,Z",
-        "Track a wind; its rough mean flow, m/s. [known or still air]",
+        "Estimate a wind; approximate mean flow (m/s). [known or still air]",
         "--wind",
     ] = None,
     gusts: Annotated[
@@ -86,41 +86,41 @@ def track(
         float | None, "DECAY", "Decay of the coherence of gusts over distances. [12]"
     ] = None,
     places: Annotated[
-        int | None, "N", "Places of gusts along the arm. [one for each 2.5 m]", 1
+        int | None, "N", "Number of gust positions along the arm. [one for each 2.5 m]", 1
     ] = None,
     bias: Annotated[
-        Texts, "KEY=SD", "Track a constant bias, as position_m=0.05 or tip_x_m=0.05."
+        Texts, "KEY=SD", "Estimate a constant bias, such as position_m=0.05 or tip_x_m=0.05."
     ] = None,
     uncertain: Annotated[
         Texts,
         "PATH=SD",
-        "Deviation of a parameter, not estimated. [the errors of the fit, all of them]",
+        "Standard deviation of a parameter that is not estimated. [all errors of the fit]",
     ] = None,
     free: Annotated[
-        Texts, "PATH[=SD]", "Estimate a parameter, and whether it changes. [SD: 30 % of it]"
+        Texts, "PATH[=SD]", "Estimate a parameter and detect its changes. [SD: 30 % of it]"
     ] = None,
     live: Annotated[
-        float | None, "S", "Follow a growing file, until it has not grown for so long."
+        float | None, "S", "Follow a growing file until it has not grown for this time."
     ] = None,
     torque: Annotated[
-        float | None, "N_M", "Unmodelled torque of a joint, white, N m root(s). [by stiffness]"
+        float | None, "N_M", "White unmodelled torque of a joint, N m root(s). [from the stiffness]"
     ] = None,
-    latency: Annotated[float, "S", "From a stamp until its measurement arrives."] = 0.0,
-    gate: Annotated[float, "SD", "A measurement that is farther off does not count."] = 5.0,
+    latency: Annotated[float, "S", "Delay between time stamp and arrival of a measurement."] = 0.0,
+    gate: Annotated[float, "SD", "Reject measurements beyond this many standard deviations."] = 5.0,
     truth: Annotated[
-        Path | None, "TRUE.csv", "True angles or rates: are the deviations right?"
+        Path | None, "TRUE.csv", "True angles or rates, to check the standard deviations."
     ] = None,
-    no_judge: Annotated[bool, "Do not look for what is wrong."] = False,
+    no_judge: Annotated[bool, "Skip the search for causes of a misfit."] = False,
     channels: OnlyChannels = None,
     rename: Renamed = None,
     as_json: Json = False,
     quiet: Quiet = False,
     force: Force = False,
 ) -> None:
-    """Estimate where a recorded arm was, and the air, with bands.
+    """Estimate motion and wind of a recorded arm, with bands.
 
-    A square-root extended Kalman filter and a smoother over angles, rates, what joints remember,
-    lagging drives, biases, mean wind and gusts, by the arm's own equation of motion.
+    A square-root extended Kalman filter and smoother estimate angles, rates, hysteresis states,
+    actuator lag, biases, mean wind and gusts with the arm's equation of motion.
     """
     from ..recordings import (
         check_output_folder,
@@ -137,7 +137,7 @@ def track(
         raise InputError(f"--live is {live:g}: give a positive number of seconds")
     parts, length_scale = gust_numbers(gusts or "0.3:5")
     if mean is None and any(each is not None for each in (gusts, coherence, places)):
-        raise InputError("--gusts, --coherence and --places are of a wind: give --wind, too")
+        raise InputError("--gusts, --coherence and --places apply to a wind: add --wind")
     flow = None if mean is None else velocity(mean, "--wind")
     if model is not None and is_result(model):
         stored_result(model)
@@ -175,8 +175,8 @@ def track(
         for path in estimated:
             if path in considered:
                 raise InputError(
-                    f"{path} is given by --free and by --uncertain: give it by one, as it is "
-                    "estimated or is not"
+                    f"{path} is given with --free and with --uncertain: give --free to estimate "
+                    "it, or --uncertain"
                 )
         return source, Unknown(
             air=None if flow is None else _air(source, flow, parts, length_scale, decay, places),
@@ -297,7 +297,7 @@ def _follow(
             elif not quiet:
                 typer.echo(heard_line(heard))
     except KeyboardInterrupt:
-        typer.echo("stopped: what was read until now is tracked", err=True)
+        typer.echo("stopped: the part that was read is tracked", err=True)
         go_on()
     finally:
         if copy is not None:
@@ -321,8 +321,9 @@ def _estimated(given: list[str] | None, source: Any) -> dict[str, float]:
         value = find(model, path).value(model)
         if value is None or value.size != 1 or not float(value):
             raise InputError(
-                f"--free {path}: it has no single number that a share could be taken of; give "
-                f"its standard deviation, --free {path}=SD"
+                f"--free {path}: it is not a single number other than 0, so a relative "
+                "deviation is not defined; "
+                f"give its standard deviation, --free {path}=SD"
             )
         found[path] = _SHARE * abs(float(value))
     return found
@@ -401,8 +402,8 @@ def _page(
             (
                 "Over time",
                 picture,
-                "The tip, the wind and the innovations; bands are 95 %. Innovations of a right "
-                "model are within the dotted lines in 95 % of cases.",
+                "The tip, the wind and the innovations; bands are 95 %. For a correct model, 95 % "
+                "of the innovations lie within the dotted lines.",
             )
         ],
     )

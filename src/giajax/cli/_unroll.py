@@ -29,19 +29,19 @@ if TYPE_CHECKING:
 @command(
     """\b
 Examples:
-  giajax unroll             by hand, and filled then, as in the paper
+  giajax unroll             by hand, then filled, as in the paper
   giajax unroll --by-gas --out unrolled
-                            by gas, with files and pictures
+                            by gas, with files and figures
   giajax unroll roll.toml --set film.peel=0.5 --json
-                            your roll, whose layers stick more, as JSON
+                            your roll with more adhesion of layers, as JSON
 
 \b
 It writes
-  unrolling.json          when the arm is paid out, full, and lifts itself
+  unrolling.json          times when the arm is paid out, full and aloft
   unrolling.csv           length, speed, forces and energies over time
-  unrolling.png           the same as a picture
+  unrolling.png           the same as a figure
   filling.*, inflation.toml
-                          the files of giajax fill, from when it begins
+                          the files of giajax fill, from the start of filling
 
 A definition is a TOML file with an [arm], a [filling] and an
 [unrolling], such as
@@ -55,19 +55,19 @@ A definition is a TOML file with an [arm], a [filling] and an
 )
 def unroll(
     definition: Annotated[
-        Path | None, argument("DEFINITION", "Its [arm], [filling] and [unrolling].")
+        Path | None, argument("DEFINITION", "File with [arm], [filling] and [unrolling].")
     ] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "A parameter, SI.", "--set"] = None,
-    by_gas: Annotated[bool, "Gas unrolls the arm, and no hand."] = False,
-    out: Annotated[Path | None, "DIR", "Write tables and pictures there."] = None,
+    by_gas: Annotated[bool, "Unroll the arm by gas instead of by hand."] = False,
+    out: Annotated[Path | None, "DIR", "Folder for tables and figures."] = None,
     as_json: Json = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Unroll an arm of balloons by hand or by gas, and fill it.
 
-    Says how fast the roll is on its way, by which forces (the paper's fig. 14), and when the arm
-    is full and lifts itself.
+    Computes speed and forces of the roll over time (the paper's fig. 14), and the times when the
+    arm is full and lifts itself.
     """
     from ..recordings import Definition, check_output_folder
 
@@ -106,7 +106,7 @@ def unroll(
 
 
 _SHOWN = 11
-"""Rows of the table."""
+"""Number of table rows."""
 
 
 def _show(unrolled: "Unrolled") -> None:
@@ -131,9 +131,9 @@ def _show(unrolled: "Unrolled") -> None:
     driven = "gas N" if unrolled.unrolling.by_gas else "hand N"
     print_table(["min", "out m", "mm/s", "radius mm", "Pa", driven, "weight N"], rows)
     if not unrolled.finished:
-        why = "the supply is too weak, or has too little"
+        why = "the supply is too weak or holds too little gas"
         if not unrolled.unrolling.by_gas:
-            why = "the hand is too weak, or too slow"
+            why = "the hand is too weak or too slow"
         at = f"{unrolled.times[-1] / 60:.0f} min, at {unrolled.paid_out[-1]:.2f} m"
         typer.echo(f"\nnot unrolled after {at}: {why}")
         return

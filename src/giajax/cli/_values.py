@@ -47,7 +47,7 @@ def _by_path(
         try:
             value = read(text) if path and text else None
         except InputError as error:
-            raise InputError(f"{option} {pair!r} is not right, because {error}") from None
+            raise InputError(f"{option} {pair!r} is not valid, because {error}") from None
         if value is None:
             raise InputError(f"{option} {pair!r} must be {form}: write it like {example}")
         if path in known:
@@ -129,8 +129,8 @@ def deviations(
     for key in section:
         if not by_channel({key: 1.0}):
             raise InputError(
-                f"{option} {key} is about none of the recorded channels: correct the key, or "
-                "leave it out"
+                f"{option} {key} matches none of the recorded channels: correct the key, or leave "
+                "it out"
             )
     # A deviation of 0 is none, which [noise] does not state.
     return by_channel({key: value for key, value in section.items() if value > 0})

@@ -36,46 +36,48 @@ _FILES = ("wind.json", "wind.png")
     """\b
 Examples:
   giajax wind --data resting.csv --wind 0,0.2,0
-                            from a mean flow along y
+                            starting from a mean flow along y
   giajax wind --data resting.csv --model giajax-out/run --out wind
-                            by the arm of a fit, with files
+                            with the fitted arm, writing files
   giajax wind --data resting.csv --wind 0,0.2,0 --free decay --skip 60 --json
-                            with the decay, without the first minute
+                            also fit the decay, without the first minute
 
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states
-an arm; without it the sidecar's is taken. NAME is speed, deviation,
-length_scale (which are free), decay, heading or climb (which are held).""",
+an arm; the default is the sidecar's arm. NAME is speed, deviation,
+length_scale (free by default), decay, heading or climb (fixed by default).""",
     group="plan",
 )
 def wind(
-    data: Annotated[Path, "RUN.csv", "A run under constant commands."],
+    data: Annotated[Path, "RUN.csv", "A run with constant commands."],
     model: Annotated[Path | None, "MODEL", "The arm; see below."] = None,
     mean: Annotated[
         str | None,
         "X,Y,Z",
-        "Mean flow to begin with, m/s; its direction is held. [the run's or the arm's]",
+        "Initial mean flow (m/s); its direction is fixed. [the run's or the arm's]",
         "--wind",
     ] = None,
-    gusts: Annotated[str, "I:L", "Intensity and length scale (m) to begin with."] = "0.2:5",
+    gusts: Annotated[str, "I:L", "Initial intensity and length scale (m)."] = "0.2:5",
     coherence: Annotated[float, "DECAY", "Decay of the coherence of gusts over distances."] = 12.0,
-    free: Annotated[Texts, "NAME", "Fit this, too."] = None,
+    free: Annotated[Texts, "NAME", "Also fit this parameter of the wind."] = None,
     hold: Annotated[Texts, "NAME", "Hold this."] = None,
-    no_mean: Annotated[bool, "Do not use where the arm rests, only how it moves there."] = False,
+    no_mean: Annotated[bool, "Do not use the mean position, only the motion about it."] = False,
     skip: Annotated[
-        float | None, "S", "Leave out so much of the beginning. [until the arm has come to rest]"
+        float | None, "S", "Leave out the first S seconds. [until the arm is at rest]"
     ] = None,
-    highest: Annotated[float | None, "HZ", "Highest frequency. [half of what rows resolve]"] = None,
+    highest: Annotated[
+        float | None, "HZ", "Highest frequency. [half the Nyquist frequency]"
+    ] = None,
     channels: OnlyChannels = None,
     rename: Renamed = None,
-    out: Annotated[Path | None, "DIR", "Write wind.json and wind.png there."] = None,
+    out: Annotated[Path | None, "DIR", "Folder for wind.json and wind.png."] = None,
     as_json: Json = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Fit mean flow and gusts to the recording of a resting arm.
 
-    Spectra and mean of its channels are compared with those of the arm, linearised about its
-    rest, in von Karman's gusts; the gusts themselves stay unknown.
+    Spectra and means of its channels are compared with those of the arm, linearised about its
+    equilibrium, in von Karman gusts. The gusts over time are not estimated.
     """
     from ..recordings import check_output_folder, observing, parse_rename, read_run
 
@@ -94,7 +96,7 @@ def wind(
 
     stated = model_of(model, [run])
     if stated.kind != ARM.name:
-        raise InputError(f"the model is that of a {stated.kind}: give that of an arm")
+        raise InputError(f"the model is of the kind {stated.kind}: give the model of an arm")
     arm = cast("ArmModel", stated)
     names = [name for name in (*USUALLY, *(free or [])) if name not in (hold or [])]
     found = fit_wind(

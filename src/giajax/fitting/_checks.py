@@ -130,7 +130,7 @@ _ROUGH = 0.01
 def with_suitable_tolerance(state: FitState) -> FitState:
     """The point with a tolerance that moves nothing by more than the data tell: coarse as may be.
 
-    A stated one stays; another is lowered in steps of ten or of its root, and evaluated anew.
+    A stated one stays; another is lowered in steps of ten or of its root, and evaluated again.
     """
     while state.setup.chooses_tolerance:
         compared = residual_change(state)
@@ -175,7 +175,7 @@ def with_finer_tolerance(state: FitState, *, surely: bool = False) -> FitState |
 def can_improve(state: FitState) -> bool:
     """Whether a step from an optimum would move it by more than the tolerance may.
 
-    A fit that chooses its tolerance ends as near to the optimum as that asks for, unless the last
+    A fit that chooses its tolerance ends as near to the optimum as that requires, unless the last
     step was refused.
     """
     if not (state.setup.chooses_tolerance and bool(state.inner.accepted)):

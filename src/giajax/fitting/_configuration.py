@@ -65,7 +65,7 @@ class Tie:
         try:
             expression = Expression.parse(text)
         except InputError as error:
-            raise InputError(f"the tie of '{path}' is not right, because {error}") from None
+            raise InputError(f"the tie of '{path}' is not valid, because {error}") from None
         named = {element.path for name in expression.paths for element in elements(model, name)}
         declaration = find(model, path).declaration
         parts = [element.path for element in elements(model, path)]
@@ -176,7 +176,7 @@ class WarmStart:
         """
         if not set(self.model.split("+")) <= set(model.kind.split("+")):
             raise InputError(
-                f"the fit to begin from is of the {self.model} model and the runs are of the "
+                f"the fit for the warm start is of the {self.model} model and the runs are of the "
                 f"{model.kind} model: give a fit of the same kind"
             )
         try:
@@ -184,7 +184,7 @@ class WarmStart:
             for path, value in self.values.items():
                 check_count(whole, path, value)
         except InputError as error:
-            raise InputError(f"the fit to begin from has other parameters: {error}") from None
+            raise InputError(f"the fit for the warm start has other parameters: {error}") from None
         return self.values
 
 
@@ -269,7 +269,7 @@ class Setup:
 
     @functools.cached_property
     def chooses_tolerance(self) -> bool:
-        """Whether the fit chooses the tolerance of an integrator, where nobody states it."""
+        """Whether the fit chooses the tolerance of an integrator, where it is not stated."""
         integration = capabilities.integration(self.model)
         # 32-bit rounding hides what a finer tolerance changes.
         if integration is None or jnp.result_type(float) == jnp.float32:

@@ -306,7 +306,7 @@ def sharing(
         name, recording = run.recording, run.path or id(run)
         if recordings.setdefault(name, recording) != recording:
             raise InputError(
-                f"two runs are called '{name}', so that nothing can be said of one of them: "
+                f"two runs are called '{name}', so results of one of them would be ambiguous: "
                 "rename one"
             )
     alone = [[name] for name in dict.fromkeys(run.recording for run in runs)]
@@ -329,7 +329,7 @@ def members(
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             remedy = f"did you mean '{near[0]}'?" if near else "name runs as their files"
-            raise InputError(f"the groups of '{path}' name '{name}', which is no run: {remedy}")
+            raise InputError(f"the groups of '{path}' name '{name}', which is not a run: {remedy}")
     positions = tuple(
         tuple(i for i, run in enumerate(runs) if {run.name, run.recording} & set(names))
         for names in groups

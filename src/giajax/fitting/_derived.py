@@ -211,7 +211,7 @@ def derived_quantity(
     """One of them as a function of all free parameters: its value and its gradient.
 
     Raises:
-        InputError: there is none of this name.
+        InputError: there is no such name.
     """
     shared, of_values = problem.shared, derived_quantities(problem, values)
     if name not in jax.eval_shape(of_values, jnp.asarray(values[:shared])):

@@ -125,10 +125,10 @@ def _outliers(state: FitState) -> Iterator[Finding]:
             yield Finding(
                 "outliers",
                 (),
-                f"cells of {run.name} are more than {_OUT:g} times as far off as most: "
+                f"cells of {run.name} are more than {_OUT:g} times the usual distance away: "
                 f"{'; '.join(said[:5])}{'; ...' * (len(said) > 5)}",
-                "empty them, if the recording is wrong there, or fit with --loss student_t, which "
-                "tames outliers",
+                "empty them if the recording is wrong there, or fit with --loss student_t, which "
+                "is robust to outliers",
             )
 
 
@@ -151,7 +151,7 @@ def _without_response(state: FitState, statistics: Statistics) -> Iterator[Findi
             names,
             f"no channel responds to {', '.join(names)}",
             _unless_far_off(
-                state, "leave it held, give it a prior, or record a motion that it acts on"
+                state, "leave it fixed, give it a prior, or record a motion that depends on it"
             ),
         )
 
@@ -160,9 +160,7 @@ def _unless_far_off(state: FitState, advice: str) -> str:
     """Advice for a model that describes the data, or what to ask first."""
     if times_white_noise(state) < FAR_OFF:
         return advice
-    return (
-        "ask first why the model does not describe the data: see what giajax check says of the run"
-    )
+    return "first find out why the model does not describe the data: run giajax check on the data"
 
 
 def _together(state: FitState, statistics: Statistics) -> Iterator[Finding]:
@@ -176,8 +174,8 @@ def _together(state: FitState, statistics: Statistics) -> Iterator[Finding]:
         yield Finding(
             "only_combinations",
             names,
-            f"the data determine none of {', '.join(names)} alone, only {said}",
-            f"state one of them with its deviation as a prior, or hold it ({one_of(names)}); "
+            f"the data do not determine {', '.join(names)} separately, only {said}",
+            f"state one of them with its deviation as a prior, or fix it ({one_of(names)}); "
             "the combinations do not depend on which",
         )
 
@@ -195,16 +193,16 @@ def _correlated(state: FitState, statistics: Statistics) -> Iterator[Finding]:
         return
     advice = _unless_far_off(
         state,
-        "do not read one without the other; a prior on one, or a run in which they act at "
-        "different times, tells them apart",
+        "do not interpret one without the other; a prior on one, or a run in which they act at "
+        "different times, distinguishes them",
     )
     for _, i, j in sorted(pairs, reverse=True)[:_MOST_PAIRS]:
         names = (statistics.labels[determined[j]], statistics.labels[determined[i]])
         yield Finding(
             "correlated",
             names,
-            f"{names[0]} and {names[1]} have a correlation of {correlation[i, j]:+.3f}, so that a "
-            "change of one is nearly undone by one of the other",
+            f"{names[0]} and {names[1]} have a correlation of {correlation[i, j]:+.3f}, so a "
+            "change of one is nearly compensated by a change of the other",
             advice,
         )
 
@@ -227,8 +225,8 @@ def _at_bounds(state: FitState, statistics: Statistics) -> Iterator[Finding]:
             "at_a_bound",
             (name,),
             f"{name} is at its {side} bound {bound:g}, and {most} (one-sided, 95 %)",
-            "read the one-sided interval in place of the error; ask whether the bound is right, or "
-            "another part of the model wrong",
+            "use the one-sided interval instead of the error, and check the bound and the rest of "
+            "the model",
         )
 
 
@@ -246,7 +244,7 @@ def _priors(state: FitState, statistics: Statistics) -> Iterator[Finding]:
                 "against_its_prior",
                 (name,),
                 f"the data move {name} by {abs(row):.2g} standard deviations of its prior",
-                "ask whether the prior is right, or the model wrong elsewhere",
+                "check the prior and the rest of the model",
             )
         elif name in state.setup.nuisances:
             continue
@@ -255,8 +253,8 @@ def _priors(state: FitState, statistics: Statistics) -> Iterator[Finding]:
             yield Finding(
                 "mostly_its_prior",
                 (name,),
-                f"{share:.0%} of what is known of {name} is its prior",
-                "take its value as what was known before, not as a result",
+                f"{share:.0%} of the information on {name} comes from its prior",
+                "its value is mainly prior knowledge, not a result",
             )
 
 
@@ -290,9 +288,10 @@ def beyond_usual(state: FitState, statistics: Statistics) -> Reason | None:
             command = " ".join(f"--free {each}" for each in [*asked, name])
             how = "" if "[" in name else f", or fit it without a prior, by {command}"
             sentence = (
-                f"{name} is {value} +- {deviation}, which is {abs(row):.2g} deviations from what "
-                f"is usual, and moves {path} by {moved[most]:.2g} of its standard errors if it is "
-                f"right: ask what else looks like it, state what is known of it in "
+                f"{name} is {value} +- {deviation}, which is {abs(row):.2g} deviations from its "
+                f"usual value, and changes {path} "
+                f"by {moved[most]:.2g} of its standard errors: check for other effects with the "
+                "same signature, or state its known value in "
                 f"[uncertainty]{how}"
             )
             found.append(Reason("prior", sentence, min(chance, 1.0), float(moved[most])))
@@ -319,9 +318,8 @@ def vanished(state: FitState, statistics: Statistics) -> Reason | None:
             if value <= error and value + error < _GONE * declaration.default:
                 sentence = (
                     f"{statistics.labels[index]} is {value:.1g} {declaration.unit}, which is 0 "
-                    "within its error: as far as the data show, nothing follows what is commanded "
-                    "there. See whether the drives of these joints worked, and hold the parameter "
-                    "at what is known of it"
+                    "within its error: according to the data, these joints do not follow their "
+                    "commands. Check their drives, and fix the parameter at its known value"
                 )
                 return Reason("vanished", sentence, 1.0, 1.0)
     return None
@@ -334,10 +332,10 @@ def _bent(statistics: Statistics, curvatures: Mapping[int, Curvature]) -> Iterat
             yield Finding(
                 "curved",
                 (name,),
-                f"the standard error of {name} does not say how far it may go, because within it "
-                f"the second derivatives change the cost by {bent.left_out:+.0%}, and one side "
-                f"against the other by {bent.skew:+.0%}",
-                "see how far it may go by giajax profile, or record more",
+                f"the standard error of {name} is not reliable, because within it the second "
+                f"derivatives change the cost by {bent.left_out:+.0%}, and the two sides differ "
+                f"by {bent.skew:+.0%}",
+                "compute its interval with giajax profile, or record more data",
             )
 
 
@@ -439,25 +437,25 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
         prior = prior_of(state.setup.priors, statistics.labels[index])
         assert prior is not None
         spread = f"x/ {prior.factor:.3g}" if prior.factor else f"+- {prior.deviation:.2g}"
-        return f"always uncertain; known before as {prior.value:.4g} {spread}"
+        return f"nuisance parameter with the prior {prior.value:.4g} {spread}"
     if not np.asarray(state.active)[index]:
-        return "not determined: no channel responds to it; left at its start"
+        return "not determined: no channel responds to it; kept at its initial value"
     for group in statistics.together:
         if index in group:
             others = ", ".join(statistics.labels[i] for i in group if i != index)
             return f"not determined alone: only a combination with {others} is"
     if error is None:
-        return "not determined: no channel responds to it where it ended"
+        return "not determined: no channel responds to it at its final value"
     if index in statistics.bounds and not _is_optimum(state):
-        return f"at its {statistics.bounds[index]} bound where the fit ended, at no optimum"
+        return f"at its {statistics.bounds[index]} bound when the fit ended, not at an optimum"
     if index in statistics.bounds:
         return (
-            f"at its {statistics.bounds[index]} bound: the best value is the bound itself, and "
-            "the standard error says how far from it the data allow"
+            f"at its {statistics.bounds[index]} bound: the best value is the bound itself, and the "
+            "standard error gives the distance from it that the data allow"
         )
     share = statistics.prior_shares.get(index, 0.0)
     if share > _MOSTLY:
-        return f"its value is mostly that of its prior ({share:.0%} of what is known of it)"
+        return f"its value is mainly that of its prior ({share:.0%} of what is known of it)"
     if error > abs(statistics.values[index]):
         return "barely determined: the standard error exceeds the value"
     nuisances = [statistics.labels[i] in state.setup.nuisances for i in statistics.determined]
@@ -472,7 +470,7 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
     by_noise = statistics.noise_errors.get(index)
     if by_noise is not None and by_noise < _NOISE_ALONE * error:
         rest = np.sqrt(error**2 - by_noise**2)
-        return f"{by_noise:.2g} by noise, {rest:.2g} by what is always uncertain"
+        return f"{by_noise:.2g} by noise, {rest:.2g} by nuisance parameters"
     return ""
 
 

@@ -129,11 +129,11 @@ def _note(state: FitState, known: Statistics) -> str:
         note += "; the noise was estimated from the residuals where it was not stated"
     elif not state.noise.complete:
         note += (
-            "; the noise that was not stated is guessed from the differences of neighbouring "
-            "samples, and the standard errors with it"
+            "; the noise that was not stated is estimated from differences of neighbouring "
+            "samples, which affects the standard errors"
         )
     if not state.noise.is_white:
-        note += "; the noise is correlated in time, and the standard errors allow for it"
+        note += "; the noise is correlated in time, which the standard errors include"
     ratio = np.sqrt(known.reduced_chi_square)
     if ratio > _NOTABLE:
         note += f"; the residuals are {ratio:.3g} times the noise"
@@ -279,7 +279,7 @@ def check_effect(settings: FitSettings, keywords: type, function: str) -> None:
     for name in settings.contents():
         if name not in keywords.__annotations__:
             raise InputError(
-                f"{function} fits the runs that it is given, and knows no {name}: leave it out, or "
+                f"{function} fits only the given runs and does not accept {name}: leave it out, or "
                 "use giajax.FitTask"
             )
 
@@ -301,7 +301,7 @@ def solve(
         progress, check: as of `fit`.
         budget: wall time that this and other fits may take together; by default that of the
             settings, for this one alone.
-        journal: what the fit keeps while it runs, and goes on from where it holds something.
+        journal: what the fit keeps while it runs, and continues from where it holds something.
 
     Raises:
         InputError: the model cannot be evaluated at the start, or the journal is of another fit.
@@ -319,7 +319,7 @@ def solve(
         except InputError:
             raise
         except (ValueError, LookupError, TypeError, ArithmeticError):
-            raise InputError(f"{CHANGED}: begin again without it") from None
+            raise InputError(f"{CHANGED}: start again without it") from None
         began -= before
         keep = journal_writer(state, journal, lambda: time.perf_counter() - began)
     state = descend(state, max_iterations, progress, budget=budget, keep=keep)

@@ -73,7 +73,7 @@ class HoldOut:
             sizes, reason = _judged(state, self.parts)
         else:
             predicted, sizes = [{} for _ in self.parts], {}
-            said = "what was held out cannot be predicted, because the model fails where the fit "
+            said = "the held-out data cannot be predicted, because the model fails where the fit "
             reason = Reason("prediction", f"{said}ended", 0.0, math.inf)
         verdict = result.verdict
         # A fit that did not reach its optimum says nothing of the model.
@@ -125,8 +125,8 @@ def set_up_with_hold_out(
     for model in dict.fromkeys(run.model for run in runs):
         if fitted and not any(run.model == model for run in fitted):
             raise InputError(
-                f"every run of the {model} model is held out, so that no model predicts them: "
-                "hold out only some of them"
+                f"every run of the {model} model is held out, so there is no model to predict "
+                "them: hold out only some of them"
             )
     if len(fitted) < len(parts):
         model_for(runs)  # refuses runs whose sidecars contradict each other
@@ -321,7 +321,7 @@ class PredictedChannel:
     def without_outliers(self) -> "PredictedChannel":
         """The cells that no loss which lets outliers stand would leave alone.
 
-        Held cells among which many are off are no outliers, but a prediction that fails.
+        Held cells among which many are off are not outliers, but a prediction that fails.
         """
         size = np.abs(self.series.residual)
         usual = np.full(len(size), self.series.adopted)
@@ -406,7 +406,7 @@ class PredictionTest:
                     continue
                 where = "" if names == groups[0] else f" of {', '.join(names)}"
                 sentence = (
-                    f"what was held out{where} is {found.size:.3g} times as far off as noise and "
+                    f"the held-out data{where} are {found.size:.3g} times as far off as noise and "
                     "the uncertainty of the parameters allow"
                 )
                 yield Reason("prediction", sentence, found.p_value, found.size, names)

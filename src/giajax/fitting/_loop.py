@@ -85,8 +85,8 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
         if (still and state.cost > constant) or (slow and state.cost > _UNEXPLAINED * constant):
             return "cannot_fit", (
                 f"after {state.trials} iterations the model describes the data hardly better than "
-                "a constant would: check units, signs, axes and names of the channels, or start "
-                "elsewhere"
+                "a constant: check units, signs, axes and names of the channels, or start from "
+                "other values"
             )
     if len(costs) > _STEPS:
         gain = costs[-1 - _STEPS] - costs[-1]
@@ -94,7 +94,7 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
         if gain < little and gain < state.predicted_decrease():
             if not bool(state.inner.finite):
                 return _stuck(state)
-            advice = "give that a prior, hold it or start elsewhere"
+            advice = "give that a prior, fix it or start from other values"
             return "crawl", (
                 f"the last {_STEPS} iterations lowered the cost by {gain / costs[-1]:.1g} of it, "
                 f"mostly along {_direction(state)}{_cannot_describe(state) or f': {advice}'}"
@@ -108,7 +108,7 @@ def near_optimum(state: FitState) -> bool:
 
 
 def refused_near_optimum(state: FitState) -> bool:
-    """Whether steps within a standard error are refused, so that derivatives are no slopes."""
+    """Whether steps within a standard error are refused, so that derivatives are not slopes."""
     near = np.sqrt(2 * state.predicted_decrease()) <= _LINEAR * state.residual_scale()
     # Beyond a wall they are refused, too.
     refused = _rejected_in_a_row(state.history[state.round_began :])
@@ -142,12 +142,12 @@ def _stuck(state: FitState) -> tuple[Reason, str]:
     """No step is accepted any more: the model fails beyond, or its cost is not smooth."""
     if not bool(state.inner.finite):
         return "wall", (
-            "the model cannot be evaluated beyond where the fit is, and the optimum is not "
-            "reached: start elsewhere, or bound what runs away"
+            "the model cannot be evaluated beyond the current point, and the optimum is not "
+            "reached: start from other values, or set bounds on the diverging parameters"
         )
     return "rough", (
         "no step lowers the cost any further, and the optimum is not reached: give a tighter "
-        "tolerance if the model has one, start elsewhere or free fewer parameters"
+        "tolerance if the model has one, start from other values or free fewer parameters"
     )
 
 
@@ -165,8 +165,8 @@ def _cannot_describe(state: FitState) -> str:
         return ""
     return (
         f", and the residuals are {scale:.2g} times the noise: the model does not describe the "
-        "data; see what giajax check says of the run (units, signs, labels, lost cells, glitches), "
-        "and what giajax suspects says of the result"
+        "data; run giajax check on the data (units, signs, labels, lost cells, glitches), and "
+        "giajax suspects on the result"
     )
 
 
@@ -224,8 +224,9 @@ def descend(
         max_iterations: trial steps before the fit gives up.
         progress: called after each trial step.
         budget: ends the fit before a step that it has no time for.
-        keep: called with each state on the way. Whoever goes on from one of them reaches the
-            same end. What only ends the fit early (iterations, budget, Ctrl-C) is no part of them.
+        keep: called with each state on the way. Whoever continues from one of them reaches the
+            same end. What only ends the fit early (iterations, budget, Ctrl-C) is not a part of
+            them.
         advance: gives the state after another one.
 
     Raises:
@@ -274,14 +275,14 @@ def _limit(
     if not state.evaluated or state.done:
         return None
     if state.trials >= max_iterations:
-        advice = ": start nearer, free fewer parameters or allow more iterations"
+        advice = ": start closer to the optimum, free fewer parameters or allow more iterations"
         return (
             f"no optimum after {state.trials} iterations{_cannot_describe(state) or advice}",
             "iterations",
         )
     if budget is not None and budget.left() < float(np.median(state.step_seconds[1:] or [0.0])):
         return (
-            f"{budget.ended_it} after {state.trials} iterations; this is the best so far: go on "
+            f"{budget.ended_it} after {state.trials} iterations; this is the best so far: continue "
             "from there, or allow more time",
             "budget",
         )
@@ -294,7 +295,7 @@ def _at_start(state: FitState) -> FitState:
     if not state.evaluated:
         raise InputError(
             "the model cannot be evaluated at the start values (the simulation fails): "
-            "choose others, for an arm softer or less damped joints, or a shorter run"
+            "choose other values (for an arm, softer or less damped joints), or a shorter run"
         )
     moves = responds(state.natural_jacobian.norms(), state.sizes)
     state = with_active(state, moves)
@@ -306,9 +307,8 @@ def _at_start(state: FitState) -> FitState:
     state = state.recorded(accepted=True)
     return state.ended(
         "not_converged",
-        "no channel responds to any of the free parameters: see whether the start moves the model "
-        "([initial], commands and their joints), and whether the recorded channels are those that "
-        "move",
+        "no channel responds to any of the free parameters: check that the model moves ([initial], "
+        "commands and their joints), and that the recorded channels move",
         "no_response",
     )
 
@@ -368,10 +368,10 @@ def _by_optimiser(state: FitState) -> FitState:
     if int(count) >= left:
         how, reason = f"found no optimum in {most} iterations: allow more, or", "iterations"
     elif successful:
-        how, reason = "ended where a step would still gain: give it smaller tolerances, or", "crawl"
+        how, reason = "ended before convergence: give it smaller tolerances, or", "crawl"
     else:
         how, reason = f"stopped after {int(count)} iterations without an optimum:", "rough"
-    return there.ended("not_converged", f"{name} {how} start elsewhere", reason)
+    return there.ended("not_converged", f"{name} {how} start from other values", reason)
 
 
 def _next_round(state: FitState) -> FitState:

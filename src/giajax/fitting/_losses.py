@@ -158,7 +158,7 @@ class AbstractLoss(eqx.Module):
         """What files say of it: its name or, with parameters, a table of name and parameters.
 
         Raises:
-            InputError: its class is not registered, or a parameter is no number.
+            InputError: its class is not registered, or a parameter is not a number.
         """
         name = name_of(type(self))
         if registered(self.registered_as, name) is not type(self):
@@ -273,7 +273,7 @@ def loss_of(said: str | Mapping[str, Any]) -> AbstractLoss:
     """The loss that settings or a result state: a name, or a table of that and of parameters.
 
     Raises:
-        InputError: there is none of the name, or it has no such parameters.
+        InputError: there is no such name, or it has no such parameters.
 
     Example:
         >>> from giajax.fitting import loss_of
@@ -288,7 +288,7 @@ def loss_of(said: str | Mapping[str, Any]) -> AbstractLoss:
         whole = {each.name for each in dataclasses.fields(found) if type(each.default) is int}
         for key, value in values.items():
             if not isinstance(value, numbers.Real):
-                raise TypeError(f"{key} = {value!r} is no number")
+                raise TypeError(f"{key} = {value!r} is not a number")
             values[key] = value if key in whole else float(value)
         loss: AbstractLoss = found(**values)
     except InputError:
@@ -305,14 +305,14 @@ def check_loss(loss: AbstractLoss) -> None:
     """Try a loss at 0 and at residuals from a thousandth of the noise to ten thousand times it.
 
     Raises:
-        InputError: a parameter is no number, or the class overrides another method than `rho`; or
-            naming the method and what is wrong: an exception, a shape, a type, a value or a
+        InputError: a parameter is not a number, or the class overrides another method than `rho`;
+            or naming the method and what is wrong: an exception, a shape, a type, a value or a
             derivative that is not finite, a value that is negative, that differs for -r or beside
             others, that jumps or that falls for larger residuals, or another beginning than r^2.
     """
     if not isinstance(loss, AbstractLoss):
         raise InputError(
-            f"{shown(loss)} is no loss: give an object of a class that is derived from "
+            f"{shown(loss)} is not a loss: give an object of a class derived from "
             "giajax.fitting.AbstractLoss, such as giajax.fitting.StudentT()"
         )
     _parameters(loss)  # what can be hashed
@@ -326,8 +326,8 @@ def _check_rho(loss: AbstractLoss) -> None:
     for name, own in vars(AbstractLoss).items():
         if name[0] != "_" and name != "rho" and getattr(cls, name) is not own:
             raise InputError(
-                f"{cls.__name__} has a {name} of its own, which follows from rho: leave it out, "
-                "and derive the class from AbstractLoss"
+                f"{cls.__name__} defines {name}, which follows from rho: leave it out, and derive "
+                "the class from AbstractLoss"
             )
     what = f"{type(loss).__name__}.rho"
     r = jnp.asarray(np.append(0.0, np.geomspace(1e-3, 1e4, 141)))
@@ -351,24 +351,32 @@ def _check_rho(loss: AbstractLoss) -> None:
 
     for name, values in names.items():
         refuse(~np.isfinite(values), f"has a {name} that is not finite", "correct it")
-    refuse(rho < 0, "is negative", "let it be a square, such as that of r near 0")
+    refuse(rho < 0, "is negative", "use a smooth function, such as r^2 near 0")
     rounding = 1e-9 if rho.dtype == np.float64 else 1e-4
     uneven = np.abs(mirrored - rho) > rounding * np.abs(rho)
-    refuse(uneven, "differs from what it is at -r", "let it depend on |r| alone")
+    refuse(uneven, "differs from what it is at -r", "make it depend on |r| alone")
     beside = np.abs(np.asarray(more) - rho)
     beside[::2] += np.abs(np.asarray(few) - rho[::2])
     refuse(beside > rounding * rho, "depends on the other residuals", "score each by itself")
     if rho[0] != 0 or abs(curvature[0] - 1) > rounding:
         raise InputError(
-            f"{what} begins as {rho[0]:.3g} + {curvature[0]:.6g} r^2, and must begin as r^2, for "
-            "residuals are in units of the noise: scale it"
+            f"{what} begins as {rho[0]:.3g} + {curvature[0]:.6g} r^2, but must begin as r^2, "
+            "because residuals are in units of the noise: scale it"
         )
     falling = np.append(False, np.diff(rho) < -rounding * rho[1:])
-    refuse(falling, "falls for larger residuals", "let none count for less than a smaller one")
+    refuse(falling, "falls for larger residuals", "make it increase with |r|")
     size = np.asarray(r)
     rounded = 4 * np.finfo(rho.dtype).eps
     bent = (np.abs(rho - size**2) > 0.01 * size**2 + rounded) & (size < 2e-3)
-    refuse(bent, "is no longer r^2", "let it begin as r^2, for residuals are in units of the noise")
+    refuse(
+        bent,
+        "is no longer r^2",
+        "make it start as r^2, because residuals are in units of the noise",
+    )
     # Coarse: psi may have a corner, or end at once.
     sums = np.append(0.0, np.cumsum((psi[1:] + psi[:-1]) * np.diff(size)))
-    refuse(np.abs(rho - sums) > 0.2 * rho, "is not the integral of its derivative", "let none jump")
+    refuse(
+        np.abs(rho - sums) > 0.2 * rho,
+        "is not the integral of its derivative",
+        "make both continuous",
+    )

@@ -32,8 +32,8 @@ def with_nuisances(
     and the others follow it. What the settings say anything of is theirs.
 
     Raises:
-        InputError: `[uncertainty]` names what is no parameter or has another number of values, or
-            the runs contradict each other in it.
+        InputError: `[uncertainty]` names what is not a parameter or has another number of values,
+            or the runs contradict each other in it.
     """
     if not settings.nuisances:
         return settings, ()
@@ -92,8 +92,7 @@ def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
         about = absent.declaration
         if not about.lower < about.neutral < about.upper:
             raise InputError(
-                f"[uncertainty] names {path}, which is left out here, so that nothing is expected "
-                "of it: state its value, too"
+                f"[uncertainty] names {path}, which this model leaves out: state its value, too"
             )
         model = absent.set(model, about.neutral)
     if name in capabilities.scattering(model):

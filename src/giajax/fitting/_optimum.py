@@ -2,7 +2,7 @@
 
 What takes many fits of the same data (profiles, repetitions, runs left out) begins at the optimum
 and uses the programs that the fit was computed by: what is held, what was recorded and where it
-starts are numbers of them, so that nothing is compiled anew.
+starts are numbers of them, so that nothing is compiled again.
 """
 
 import dataclasses
@@ -104,7 +104,7 @@ class Optimum:
         """Where a free parameter stands.
 
         Raises:
-            InputError: there is none of this name.
+            InputError: there is no such name.
         """
         if label not in self.labels:
             raise InputError(f"'{label}' was not free in this fit: use one of {self.labels}")
@@ -121,7 +121,7 @@ class Optimum:
         Its value and its gradient as a function of the values of all free parameters.
 
         Raises:
-            InputError: there is none of this name.
+            InputError: there is no such name.
         """
         return derived_quantity(self.state.problem, self.values, name)
 

@@ -65,7 +65,7 @@ class Suspect:
         note: why it is not testable, or what a reader must know; may be empty.
         moves: by how many of their standard errors the step moves fitted parameters, by path; of
             parameters that are significant; nothing where it was tested where the fit began.
-        begun: whether it was tested with the values that the fit began with, because those where
+        begun: whether it was tested with the initial values of the fit, because those where
             it ended may have gone astray.
     """
 
@@ -369,7 +369,7 @@ class ChannelFit:
         noise: standard deviation of a cell that the values were weighted with.
         correlated: standard deviation of the correlated part of it.
         correlation_time_s: of that part, s; 0 where there is none.
-        innovation: deviation of what the cells before do not foretell, their geometric mean;
+        innovation: deviation of what the cells before do not predict, their geometric mean;
             None from a file without it.
         white: deviation of white noise (`giajax.noise.white_deviation`), which suspects,
             pictures and reports measure residuals by; None from a file without it.
@@ -522,9 +522,9 @@ def matching_runs(
 ) -> list[Run]:
     """The runs of a result, in their order, checked to be those.
 
-    Of runs that were made in memory, and of windows of one file, there is no checksum that tells
-    them apart: channels, numbers of measured cells and names have to be the same; unless they may
-    be the whole runs, with more than was fitted: what was held out, other channels.
+    Of runs that were made in memory, and of windows of one file, there is no checksum that
+    distinguishes them: channels, numbers of measured cells and names have to be the same; unless
+    they may be the whole runs, with more than was fitted: what was held out, other channels.
 
     Raises:
         InputError: they are others, or in another order.

@@ -221,7 +221,7 @@ class FitResult(ShownAsTable):
         derived: `Estimate` by name of what follows from the free parameters: the tied ones, and
             what the model derives (`AbstractModel.derived`).
         findings: what the data cannot tell, each with advice (`docs/findings.md`).
-        suspects: what the residuals ask for (`giajax.suspects`), the most promising first; empty
+        suspects: what the residuals suggest (`giajax.suspects`), the most promising first; empty
             where that was not asked.
         systematic: what held numbers do to the fitted ones (`giajax.systematic_errors`); likewise.
         task: how `giajax.FitTask.again` fits it again: files with their checksums, and settings;

@@ -87,9 +87,9 @@ class FitState:
         part: of the rows of each run, from the first, that count; less than 1 on the way from a
             start that is far off.
         finer: what a finer tolerance of the integrator changes of the residuals there; None where
-            nobody has asked.
+            it was not requested.
         done: whether the solver wants no further step; `converged`, whether it is at an optimum.
-        rounds_left: how often the noise may still be estimated anew.
+        rounds_left: how often the noise may still be estimated again.
         round_began: how long the history was when noise or tolerance last changed.
         step_seconds: wall time of each evaluation; the first one compiles.
         ending: how the fit ended, one sentence about it, and the word of `FitResult.reason`; None
@@ -313,14 +313,14 @@ def trial(state: FitState) -> FitState:
 
 
 def move(state: FitState, coordinate: Any) -> FitState:
-    """Go on from another point, which is not evaluated yet."""
+    """Continue from another point, which is not evaluated yet."""
     coordinate = on_device(coordinate, state.coordinate.dtype)
     inner = blank(state.solver, state.problem, coordinate)
     return dataclasses.replace(state, coordinate=coordinate, inner=inner, finer=None)
 
 
 def in_coordinates(state: FitState, bijector: Bijector) -> FitState:
-    """Go on from the same point in other coordinates; not evaluated yet."""
+    """Continue from the same point in other coordinates; not evaluated yet."""
     coordinate = bijector.inverse(state.values())
     problem = dataclasses.replace(state.problem, bijector=bijector)
     return move(dataclasses.replace(state, problem=problem), coordinate)
@@ -342,7 +342,7 @@ def counting(state: FitState, part: float) -> FitState:
 
 
 def reweight(state: FitState, noise: Noise) -> FitState:
-    """Go on from the same point with another noise; not evaluated yet."""
+    """Continue from the same point with another noise; not evaluated yet."""
     runs = state.setup.runs
     batches = with_recorded(state.problem.batches, runs, noise, [run.observations for run in runs])
     # Weights of cells take the place of a robust loss: whitened residuals are no single cells.
@@ -358,7 +358,7 @@ def reweight(state: FitState, noise: Noise) -> FitState:
 
 
 def at_tolerance(state: FitState, tolerance: float | None) -> FitState:
-    """Go on from the same point with another tolerance, if any; not evaluated yet."""
+    """Continue from the same point with another tolerance, if any; not evaluated yet."""
     if tolerance == state.tolerance:
         return state
     model = capabilities.with_integration(state.problem.model, solver=None, tolerance=tolerance)
@@ -480,7 +480,7 @@ class FitJournal(Protocol):
 
 
 def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
-    """The last state that a journal holds, evaluated anew, and the seconds of the fit up to it.
+    """The last state that a journal holds, evaluated again, and the seconds of the fit up to it.
 
     Raises:
         InputError, ValueError, LookupError, TypeError: a line is not of this fit.

@@ -207,7 +207,7 @@ def verdict(state: FitState, status: Status, prior_degrees_of_freedom: float) ->
     ended = {"not_converged": "did not converge", "interrupted": "was interrupted"}.get(status)
     if ended is None:
         return found
-    sentence = f"the fit {ended}: this is the best point so far, and no optimum"
+    sentence = f"the fit {ended}: this is the best point so far, not an optimum"
     return found.doubted(Reason("end", sentence, 1.0, 1.0))
 
 
@@ -569,8 +569,8 @@ def sources(
 ) -> dict[int, dict[str, float | None]]:
     """What each recording is worth for what several of them determine together.
 
-    By position of a parameter, by recording, as `Sources`; to first order at the optimum, with the
-    noise as it was found: nothing is fitted again. Empty for a fit of one recording.
+    By position of a parameter, by recording, as `Sources`; to first order at the optimum, with
+    fixed noise found: nothing is fitted again. Empty for a fit of one recording.
     """
     problem = state.problem
     members = [member for batch in problem.batches for member in batch.members]

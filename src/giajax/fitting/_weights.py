@@ -156,7 +156,7 @@ class Whitening(eqx.Module):
     """The gains of a run, or of several along a first axis, for residuals over their deviation.
 
     `keep` and `gain` are what of the correlated part and of the cell goes on to the next sample;
-    `scale` the deviation of a cell over that of what the cells before it do not foretell; 0 where a
+    `scale` the deviation of a cell over that of what the cells before it do not predict; 0 where a
     cell is not measured.
     """
 
@@ -286,16 +286,16 @@ def checked_priors(priors: Mapping[str, Any]) -> dict[str, Prior]:
     """The priors, also where they are given as `{"value": ..., "deviation": ...}`.
 
     Raises:
-        InputError: what is no prior.
+        InputError: what is not a prior.
     """
     checked = {}
     for path, prior in priors.items():
         try:
             checked[path] = prior if isinstance(prior, Prior) else Prior(**prior)
         except InputError as error:
-            raise InputError(f"the prior of '{path}' is not right, because {error}") from None
+            raise InputError(f"the prior of '{path}' is not valid, because {error}") from None
         except TypeError:
             raise InputError(
-                f"the prior of '{path}' is no prior: give giajax.Prior(value, deviation=...)"
+                f"the prior of '{path}' is not a prior: give giajax.Prior(value, deviation=...)"
             ) from None
     return checked

@@ -354,7 +354,7 @@ class Filling(eqx.Module):
 
     @property
     def borne_mass(self) -> Float[Array, " link"]:
-        """What the lift of each link's gas must bear, kg: the link and all that hangs on it."""
+        """What the lift of each link's gas must bear, kg: the link and all that it carries."""
         borne = bodies(self.arm).mass
         if self.arm.buoyancy is not None:
             # Its gas is that which is being filled in.

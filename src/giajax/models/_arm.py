@@ -469,11 +469,11 @@ class ArmModel(AbstractModel):
         return {JOINTS.friction.path: names[0]} if names else {}
 
     def freed_with(self) -> dict[str, tuple[str, ...]]:
-        """The loop of a memory is as wide as its yield angle, which nobody knows either."""
+        """The loop of a memory is as wide as its yield angle, which is not known either."""
         return {JOINT_MEMORY.strength.path: (JOINT_MEMORY.yield_angle.path,)}
 
     def uncertain(self, runs: Sequence[Run]) -> dict[str, Prior]:
-        """Clock and scale of a camera that nobody calibrated, and the diameter of the links."""
+        """Clock and scale of an uncalibrated camera, and the diameter of the links."""
         own = [run for run in runs if run.model == self.kind]
         return usual_uncertainty(self.arm, self.sensors, own) if own else {}
 

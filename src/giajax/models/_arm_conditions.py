@@ -114,9 +114,7 @@ _OWN = ("air.law.", "joints.laws.")
 _KNOWN = ("joints.laws.hardening.", "joints.laws.end_stops.")
 
 _DRAG_AREA = ("air.density", "links.length", "links.diameter")  # C_D is referred to these (eq. 1)
-_COMMANDED = (
-    "counted from the clock of the commands, so that a lag of the drives would look the same"
-)
+_COMMANDED = "counted from the clock of the commands, so a lag of the drives has the same effect"
 _LENS = (
     "about the middle of the straight arm, by half of its length, because positions do not say how "
     "far away the camera is"
@@ -227,7 +225,7 @@ def scale_conditions(
             sentences.append(
                 f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
                 f"inertias, drag, {other} and damping together leaves the motion unchanged; "
-                + (f"held at {_values(model, held)}" if held else "nothing of these is held")
+                + (f"held at {_values(model, held)}" if held else "none of these is fixed")
                 + f", with the mass of link {', '.join(map(str, inside))} in its points"
                 * bool(inside)
             )

@@ -49,7 +49,7 @@ class Columns:
         """As `to_dict` gave them."""
         columns = [definition.get(key, "") for key in ("input_column", "output_column")]
         if not all(isinstance(column, str) for column in columns):
-            raise InputError(f"the columns {shown(columns)} are no names: give text")
+            raise InputError(f"the columns {shown(columns)} are not names: give text")
         return cls(*columns)
 
     def to_dict(self) -> dict[str, str]:
@@ -207,7 +207,8 @@ def settings_for(section: HysteresisSection, inputs: Sequence[np.ndarray]) -> Hy
         ends = [float(np.min(together)), float(np.max(together))]
     if not ends[0] < ends[1]:
         raise InputError(
-            "the input never changes, so that nothing responds to it: give a run in which it does"
+            "the input never changes, so the output does not depend on it: give a run in which it "
+            "changes"
         )
 
     def chosen(name: str) -> Any:

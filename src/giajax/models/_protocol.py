@@ -156,7 +156,7 @@ class AbstractModel(ShownAsTable, eqx.Module):
 
         Raises:
             InputError: it has no constant kind, or one that names no section of its own in files;
-                or a channel is no row, or contradicts that of another kind.
+                or a channel is not a row, or contradicts that of another kind.
         """
         name: Any = cls.kind
         rows: Any = cls.channels

@@ -30,7 +30,7 @@ class Derived(NamedTuple):
 class Integration(NamedTuple):
     """How a model is integrated: its solver by name, and the tolerance of a step.
 
-    The tolerance is None where nobody stated one: a fit then chooses it.
+    The tolerance is None where it is not stated: a fit then chooses it.
     """
 
     solver: str
@@ -98,7 +98,7 @@ def derived(model: AbstractModel) -> dict[str, Derived]:
     """Quantities that follow from the parameters and may be determined where those are not.
 
     Such as the products of parameters that show only together. Traced and differentiated by JAX; a
-    fit gives each a standard error. By name, which is no path of a parameter.
+    fit gives each a standard error. By name, which is not a path of a parameter.
     """
     return _asked(model, "derived", {})
 
@@ -209,7 +209,7 @@ def for_derivatives(model: AbstractModel, paths: Sequence[str]) -> AbstractModel
     """The same model, as exact in derivatives by some parameters as in its predictions.
 
     A model that integrates may need shorter steps for them. Its predictions do not depend on
-    whether they are differentiated, so that a fit and a sensitivity study ask for this. Paths are
+    whether they are differentiated, so that a fit and a sensitivity study request this. Paths are
     of parameters of the model, or of the prepared inputs (`free_inputs`).
     """
     return _asked(model, "for_derivatives", model, paths)

@@ -58,7 +58,7 @@ _LEAST_GAIN = 5.0
 
 
 def _worth_it(channels: int) -> float:
-    """That gain where so many channels are asked: a chance hit among many is no memory."""
+    """That gain where so many channels are asked: a chance hit among many is not hysteresis."""
     return float(_LEAST_GAIN + 2 * np.log(channels))
 
 

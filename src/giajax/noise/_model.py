@@ -83,7 +83,7 @@ def gains(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What a pass forward over the samples needs to make the noise white (a Kalman filter).
 
-    With m the part of a cell's noise that the cells before it foretell, the cell less m has the
+    With m the part of a cell's noise that the cells before it predict, the cell less m has the
     deviation that is returned, independent of all before, and m goes on by
 
         m <- keep m + gain (cell - m).

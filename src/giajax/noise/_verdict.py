@@ -233,8 +233,8 @@ def by_a_few_cells(series: Sequence[Series]) -> Reason | None:
             if both is not None and both[1] > both[0]:
                 size = each.from_differences / both[0]
                 sentence = (
-                    f"the noise adopted for {each.channel} is that of a few cells, which make it "
-                    f"{size:.3g} times what differs from sample to sample in most: empty them, "
+                    f"the noise adopted for {each.channel} is that from a few cells, which make it "
+                    f"{size:.3g} times the difference between neighbouring samples: empty them, "
                     "or fit with --loss student_t"
                 )
                 p = tail(each.white_degrees_of_freedom, DIFFERENCES * len(each), size**2)
@@ -282,7 +282,7 @@ def _against_stated(series: Sequence[Series], *, below: bool) -> Reason | None:
             elif 0 < size < 1 / _FAR_BELOW:
                 sentence = (
                     f"the residuals are {1 / size:.3g} times smaller than the stated noise{where}, "
-                    "which is wrong, or the unit of a column is"
+                    "so it or the unit of a column is wrong"
                 )
                 p = float(chdtr(degrees_of_freedom, total))
                 yield Reason("too_small", sentence, p, 1 / size, names)
@@ -313,8 +313,8 @@ def correlated(series: Sequence[Series]) -> Reason | None:
             size = float(np.sqrt(1 + share))
             where = "" if names == groups[0] else f" of {', '.join(names)}"
             sentence = (
-                f"the residuals{where} are correlated, noise or missing physics: with their "
-                f"memory they are {size:.3g} times what differs from cell to cell"
+                f"the residuals{where} are correlated, by noise or missing physics: with the "
+                f"correlation they are {size:.3g} times the difference between neighbouring cells"
             )
             yield Reason("correlation", sentence, p, size, names)
 
@@ -337,8 +337,8 @@ def beyond_differences(series: Sequence[Series]) -> Reason | None:
             degrees_of_freedom = sum(each.degrees_of_freedom for each in chosen)
             size = float(np.sqrt(total / degrees_of_freedom))
             sentence = (
-                f"the noise adopted for {name} is {size:.3g} times what its residuals differ by "
-                "from sample to sample"
+                f"the noise adopted for {name} is {size:.3g} times the difference of neighbouring "
+                "residuals"
             )
             p = tail(degrees_of_freedom, _together(chosen), size**2)
             yield Reason("differences", sentence, p, size, (name,))
@@ -485,7 +485,7 @@ def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
     if robust:
         series = [each.where(np.abs(each.residual) <= OUTLIER * each.adopted) for each in series]
     if sum(len(each) - each.lost for each in series) < _FEWEST_RESIDUALS:
-        few = Reason("cells", "there are too few measured values to judge the model", 1.0, 1.0)
+        few = Reason("cells", "too few measured values for a verdict on the model", 1.0, 1.0)
         return Verdict("not evaluated", (few,))
     series = [each.known_memory_removed() for each in series if len(each)]
     reasons = [reason for test in _TESTS if (reason := test(series)) is not None]

@@ -113,9 +113,9 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
     the bag.
 
     Raises:
-        InputError: it is no bag, or has none of these messages, or `rosbags` is not installed; or
-            messages of a thing that is not ignored have no stamps, equal ones, or another clock; or
-            it is damaged, or has or unpacks to more than the limits.
+        InputError: it is not a bag, or has none of these messages, or `rosbags` is not installed;
+            or messages of a thing that is not ignored have no stamps, equal ones, or another
+            clock; or it is damaged, or has or unpacks to more than the limits.
     """
     check_path(path)
     try:
@@ -327,7 +327,9 @@ class _Found:
 def _check_name(path: Path, name: str, before: int, what: str) -> None:
     """Refuse a name that cannot be shown, or that is one more than there may be."""
     if len(name) > CELL_BYTES or not name.isprintable():
-        raise InputError(f"{path}: {shown(name)} is no name: it may have {CELL_BYTES:,} letters")
+        raise InputError(
+            f"{path}: {shown(name)} is not a valid name: it may have {CELL_BYTES:,} letters"
+        )
     if before >= COLUMNS:
         raise InputError(f"{path} has more than {COLUMNS:,} {what}: record fewer topics")
 
@@ -377,7 +379,7 @@ def _reading(path: Path) -> Iterator[None]:
     except InputError as error:
         cause = error.__cause__
         if isinstance(cause, KeyError):
-            says = f"has records of {cause}, which is no channel or schema of it: copy it again"
+            says = f"has records of {cause}, which is not a channel or schema of it: copy it again"
         elif getattr(cause, "errno", None) == errno.ENOSPC:
             says = f"is not unpacked, no space in {tempfile.gettempdir()}: set TMPDIR"
         elif getattr(cause, "sqlite_errorname", "") == "SQLITE_INTERRUPT":
@@ -477,7 +479,9 @@ def _mcap(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Mes
         last = file.read()
         file.seek(0)
         if file.read(len(_MAGIC)) != _MAGIC or last != _MAGIC or end < 2 * len(_MAGIC):
-            raise InputError(f"{path} is no whole MCAP file: copy it again, or use mcap recover")
+            raise InputError(
+                f"{path} is not a complete MCAP file: copy it again, or use mcap recover"
+            )
         for code, record in _unchunked(path, file, end, unpacking):
             if code == _STATISTICS and (said := _number(record, 8)) != count:
                 raise InputError(f"{path} has {count:,} messages, but says {said:,}: copy it again")
@@ -616,5 +620,5 @@ def _database(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> 
         query = "SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN"
         for number, received, data in base.execute(f"{query} ({','.join(known)})"):
             if not isinstance(data, bytes):
-                raise InputError(f"{path} has a message that is no data: copy it again")
+                raise InputError(f"{path} has a message without data: copy it again")
             yield numbers[number], received, data

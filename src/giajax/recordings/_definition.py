@@ -452,7 +452,7 @@ def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) 
     read.
 
     Raises:
-        InputError: the file is not a table of known columns.
+        InputError: the file is not a table with known column names.
     """
     path = Path(path)
     table = read_table(path, rename)

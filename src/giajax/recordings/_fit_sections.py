@@ -314,7 +314,7 @@ class FitSettings(Section):
         default=[],
     )
     window_s: Positive | None = key(
-        "a positive number", "Cut runs into windows, each with its own start."
+        "a positive number", "Split runs into windows with separate initial states."
     )
     windows_first_s: Positive | None = key(
         "a positive number", "Fit such windows first, and whole runs from there."
@@ -351,7 +351,7 @@ class FitSettings(Section):
         default=False,
     )
     solver: Annotated[Name | None, BeforeValidator(_known_solver)] = key(
-        "the name of a solver", "Integration method (springs5), such as tsit5."
+        "the name of a solver", "Integration method, such as tsit5 (springs5)."
     )
     tolerance: Positive | None = key(
         "a positive number", "Tolerance of the integration (chosen by what it moves)."
@@ -390,7 +390,7 @@ class FitSettings(Section):
             return cls.model_validate({**known, "nuisances": False})
         except ValidationError as error:
             where = ".".join(map(str, error.errors()[0]["loc"]))
-            raise InputError(f"the stored fit has no usable {where}: fit its data anew") from None
+            raise InputError(f"the stored fit has no usable {where}: fit its data again") from None
 
     @field_validator(
         *("start", "fix", "uncertainty", "priors", "bounds", "ties", "groups"), mode="before"
@@ -460,7 +460,7 @@ class StartsKeywords(FitKeywords, total=False):
 
 
 class TaskKeywords(StartsKeywords, total=False):
-    """And those that say which part of the files is fitted, and what is held out."""
+    """And those that say which part of the files is fitted, and the held-out data."""
 
     uncertainty: Mapping[str, npt.ArrayLike] | None
     channels: Sequence[str] | None

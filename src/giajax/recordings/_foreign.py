@@ -90,7 +90,7 @@ class ImportSettings:
             for pattern in getattr(self, option):
                 if not _matches(names, [pattern]):
                     raise InputError(
-                        f"--{option} {pattern} is none of {some(names)}: correct the name; "
+                        f"--{option} {pattern} is not one of {some(names)}: correct the name; "
                         "* stands for any letters"
                     )
 
@@ -151,7 +151,7 @@ def placed(coordinates: Sequence[Numbers], axes: Sequence[str], what: str) -> li
     if len(axes) != len(coordinates):
         raise InputError(
             f"{what} has {len(coordinates)} coordinates, but the axes are {','.join(axes)}: give "
-            "so many with --axes"
+            "as many with --axes"
         )
     return [
         ForeignColumn(axis[-1], "length", -metres if axis[0] == "-" else metres)
@@ -218,7 +218,7 @@ def channels_of(
             values[name], sources[name] = column.values, thing
     if not values and table.things:
         raise InputError(
-            "no tracked point is a channel: say which is which, of "
+            "no tracked point is assigned to a channel: assign them, of "
             f"{some(list(table.things))}, such as --point "
             f"{shown(next(iter(table.things), 'NAME') + '=tip')}"
         )
@@ -235,7 +235,8 @@ def channels_of(
         flipped = [name for name in numbers if name == flip or name.endswith(f"_{flip}")]
         if not flipped:
             raise InputError(
-                f"--flip {flip} is none of {some(numbers)}: give an axis, such as z, or a channel"
+                f"--flip {flip} is not one of {some(numbers)}: give an axis, such as z, or a "
+                "channel"
             )
         turned.update(flipped)
     return {name: -column if name in turned else column for name, column in values.items()}
@@ -269,7 +270,7 @@ def rows_kept(
     if table.times is None:
         if how.offset or np.isfinite(how.from_time) or np.isfinite(how.until):
             raise InputError(
-                "the file has no times: give --frame-rate, the rows a second, or leave out "
+                "the file has no times: give --frame-rate, the rows per second, or leave out "
                 "--offset, --from-time and --until"
             )
         return None, dict(values)

@@ -90,7 +90,8 @@ class Rows(NamedTuple):
             at = int(commas.arg_max() or 0)
             raise InputError(
                 f"{self.path}: row {self.first + at // len(wanted)} has {shown(cells[at], 40)}, "
-                "but other numbers have a decimal point: write all without separators of thousands"
+                "but other numbers have a decimal point: write all numbers without thousands "
+                "separators"
             )
         columns = [f"{self.path}: column {shown(name, 40)}" for name in wanted.values()]
         table = numbers_of(cells.str.replace(",", ".", literal=True), columns, self.first)
@@ -144,8 +145,8 @@ class AbstractFormat(ABC):
         """Times, s, of the numbers of pictures."""
         if how.frame_rate is None:
             raise InputError(
-                f"{sheet.path}: {self.program} counts pictures: give --frame-rate, the pictures a "
-                "second of the film"
+                f"{sheet.path}: {self.program} counts frames: give --frame-rate, the frame rate of "
+                "the film"
             )
         return self.increasing(sheet, frames / how.frame_rate)
 
@@ -158,8 +159,8 @@ class AbstractFormat(ABC):
         steps /= np.mean(steps[steps < 1.5 * np.min(steps)])  # others leave pictures out
         if np.any(np.abs(steps - np.round(steps)) > 0.25):  # stamps are rounded to milliseconds
             raise InputError(
-                f"{sheet.path}: its times are not those of pictures, which follow each other in "
-                "even steps: leave out --frame-rate"
+                f"{sheet.path}: its times are not frame numbers in even steps: leave out "
+                "--frame-rate"
             )
         frames = np.concatenate([[0.0], np.cumsum(np.round(steps))])
         first = np.round(times[0] / ((times[-1] - times[0]) / frames[-1]))
@@ -176,7 +177,7 @@ class AbstractFormat(ABC):
                 if not np.isfinite(times[at])
                 else "has the time of the row before: leave one of them out"
                 if steps[at - 1] == 0
-                else "goes back in time: sort the rows, or leave what is another recording out"
+                else "goes back in time: sort the rows, or remove a second recording"
             )
             raise InputError(
                 f"{sheet.path}: rows must follow each other in time, each once, but row "
@@ -194,7 +195,7 @@ class AbstractFormat(ABC):
                 "picture"
             )
             raise InputError(
-                f"{sheet.path}: {self.program} does not say the unit of its coordinates: give "
+                f"{sheet.path}: {self.program} does not state the unit of its coordinates: give "
                 f"--unit m, cm or mm{upwards if pixels else ''}"
             )
         return how.unit
@@ -688,6 +689,7 @@ def read_foreign(
         )
     known = "; ".join(f"{each.program} ({each.form})" for each in formats)
     raise InputError(
-        f"{path} is no table that can be read: {known}; ROS 2 (a folder, .mcap or .db3): export it "
+        f"{path} is not a table that can be read: {known}; ROS 2 (a folder, .mcap or .db3): "
+        "export it "
         "as one of these"
     )

@@ -67,8 +67,8 @@ def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[SplitRun, ...]:
     parts = [split_run(run, first) for run, first in zip(runs, held_from, strict=True)]
     if all(part.fitted is None for part in parts):
         raise InputError(
-            f"{', '.join(names)} is all that was measured, and nothing is left to fit: hold out "
-            "less of it"
+            f"{', '.join(names)} contains all measured values, so none is left to fit: hold out "
+            "less"
         )
     return tuple(parts)
 
@@ -108,12 +108,12 @@ def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
     last = _LAST.fullmatch(name)
     if bool(named) + bool(measured) + (last is not None) > 1:
         raise InputError(
-            f"'{name}' is to be held out, and more than one thing is called so, of a run, a "
-            "channel and the last samples: rename the run, or its file"
+            f"'{name}' is to be held out, but several of a run, a channel and the last samples "
+            "have this name: rename the run, or its file"
         )
     if len({run.path or id(run) for run in named}) > 1:
         raise InputError(
-            f"'{name}' is to be held out, and two recordings are called so: rename one of them"
+            f"'{name}' is to be held out, but two recordings have this name: rename one of them"
         )
     if last is not None:
         share = SHARE if last[1] is None else np.nan
@@ -121,7 +121,7 @@ def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
             share = float(last[1])
         if not 0 < share < 1:
             raise InputError(
-                f"'{name}' is to be held out, which is no share: write it like last:0.3, with a "
+                f"'{name}' is to be held out, but is not a share: write it like last:0.3, with a "
                 "number between 0 and 1"
             )
         return _last(runs, share)
@@ -133,7 +133,7 @@ def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
     names = ", ".join(dict.fromkeys(run.recording for run in runs))
     channels = ", ".join(dict.fromkeys(channel for run in runs for channel in run.observations))
     raise InputError(
-        f"'{name}' is to be held out, which is no run and no channel: name a run ({names}), a "
+        f"'{name}' is to be held out, but is neither a run nor a channel: name a run ({names}), a "
         f"channel ({channels}), or last"
     )
 

@@ -123,7 +123,7 @@ def _units(angles: Mapping[str, Channel], kind: MistakeKind) -> Iterator[Mistake
             yield Mistake(
                 "units",
                 f"the {'joint ' * (kind == 'angles')}{kind} in {unit}",
-                f"--rename {name}_{wrong}={name}_{unit}, and the others alike",
+                f"--rename {name}_{wrong}={name}_{unit}, and rename the others in the same way",
                 {name: (name, times) for name in angles},
                 kind,
             )
@@ -138,7 +138,7 @@ def _lengths(measured: Mapping[str, Channel]) -> Iterator[Mistake]:
             yield Mistake(
                 "units",
                 f"the positions in {unit}",
-                f"--rename {name}_{wrong}={name}_{unit}, and the others alike",
+                f"--rename {name}_{wrong}={name}_{unit}, and rename the others in the same way",
                 {each: (each, times) for each in positions},
                 "lengths",
             )
@@ -228,7 +228,7 @@ def _commands(
     for name, channel in commands.items():
         yield Mistake(
             "signs",
-            f"{name} with the other sign",
+            f"{name} with the opposite sign",
             f"change the sign of the column of {name}",
             {name: (name, -1.0)},
             "commands",

@@ -76,8 +76,8 @@ def _at_equilibrium(look: Look) -> Iterator[Oddity]:
     if moving:
         yield Oddity(
             "start",
-            f"{moving[0]} moves, but a free motion whose [initial] state is not stated begins "
-            "at the equilibrium, where nothing moves",
+            f"{moving[0]} moves, but without a stated [initial] state a free motion starts at the "
+            "equilibrium, where nothing moves",
             "state first_row = true in [initial], and free = true where angles are not recorded, "
             "or angle_deg and rate_deg_per_s",
             tuple(moving),
@@ -108,8 +108,8 @@ def _before_commands(look: Look) -> Iterator[Oddity]:
             "start",
             f"{one_of(moving) if len(moving) < 3 else f'{moving[0]} and {len(moving) - 1} more'} "
             f"{'moves' if len(moving) == 1 else 'move'} before any command changes "
-            f"(until {look.at([look.still - 1])}), but the arm is taken to start at rest: its "
-            "clock may be another one than that of the commands, or it was moving",
+            f"(until {look.at([look.still - 1])}), but the arm is assumed to start at rest: the "
+            "clocks of camera and commands may differ, or the arm was moving",
             "correct the stamps, or state [initial] (free = true lets the fit find it)",
             tuple(moving),
         )
@@ -370,7 +370,7 @@ def _at_commands(look: Look) -> Iterator[Oddity]:
     near = [each for gained, each in gains if gained < best + 0.1][:3]
     yield Oddity(
         near[0].code,
-        "what is recorded does not follow the commands, but would with the columns corrected: "
+        "the recorded motion does not follow the commands, but does with corrected columns: "
         + "; or ".join(each.words for each in near),
         "; or ".join(dict.fromkeys(each.remedy for each in near)),
         names,
@@ -411,7 +411,7 @@ def _exchanged(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
     if pair is not None and least < _SMOOTHER * bends:
         yield _Undone(
             "labels",
-            f"the recorded shape of the arm is rough, and would be smooth with {pair.words}",
+            f"the recorded shape of the arm is not smooth, but would be with {pair.words}",
             pair.remedy,
         )
 
@@ -462,7 +462,7 @@ def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
             others, times = pose.points_but_for(each)
             there = [times[i] * straight[others[i].link, others[i].component or 0] for i in chosen]
             if np.max(np.abs(first - there)) <= enough:
-                words = f"the first rows are those of a straight arm with {each.words}"
+                words = f"the first rows match a straight arm with {each.words}"
                 yield _Undone(each.code, words, each.remedy)
                 return
     origin = np.array([np.median(rest[axis == c]) if np.any(axis == c) else 0.0 for c in range(3)])
@@ -471,8 +471,8 @@ def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
     if np.max(np.abs(rest - origin[axis])) <= max(enough, 0.2 * np.max(np.abs(rest))):
         yield _Undone(
             "frame",
-            f"the first rows are off from the straight arm by ({stated}) m, alike in all columns: "
-            "the origin of the camera may be off",
+            f"the first rows differ from the straight arm by ({stated}) m in all columns: the "
+            "origin of the camera may be wrong",
             f"--free {path} --start {path}={stated}, or subtract it from the columns",
         )
         return
@@ -484,15 +484,15 @@ def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
     degrees = float(np.rad2deg(np.linalg.norm(found[:3])))
     left = float(np.max(np.abs(rest - rows @ found)))
     turned_so = degrees < 30 and left <= max(enough, 0.2 * np.max(np.abs(rest))) and len(points) > 6
-    how = f"the frame of the camera may be turned by {degrees:.2g} deg" if turned_so else (
+    how = f"the frame of the camera may be rotated by {degrees:.2g} deg" if turned_so else (
         "the arm may not start straight and at rest, or axes, labels or lengths are wrong"
     )  # fmt: skip
     yield _Undone(
         "frame",
-        f"the first rows are up to {np.max(np.abs(rest)):.3g} m off from the straight arm: {how}",
+        f"the first rows are up to {np.max(np.abs(rest)):.3g} m away from the straight arm: {how}",
         f"--free {CAMERA.rotation.path} --free {path}"
         if turned_so
-        else "look at the first rows, and state [initial] if the arm starts otherwise",
+        else "check the first rows, and state [initial] if the arm starts in another state",
     )
 
 
@@ -533,11 +533,11 @@ def _reach(look: Look) -> Iterator[Oddity]:
     )
     remedy = "correct the columns, or links and link_length_m in [arm]"
     if unit:
-        renamed = f"--rename {channel.column}={name}_{unit}, and the others alike"
+        renamed = f"--rename {channel.column}={name}_{unit}, and rename the others in the same way"
         remedy = renamed if channel.unit == "m" else "convert the values"
     yield Oddity(
         "units" if unit else "frame",
-        f"{look.of(channel)} is up to {far:.4g} m, but the arm lets it be {own:.4g} m: {what}",
+        f"{look.of(channel)} is up to {far:.4g} m, but the arm limits it to {own:.4g} m: {what}",
         remedy,
         (name,),
     )

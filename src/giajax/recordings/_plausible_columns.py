@@ -39,7 +39,7 @@ class Oddity:
             "command", "lost cells", "glitches", "wrap", "take", "time", "start", "constants" or
             "noise".
         sentence: what is seen and where, and what it is likely to be.
-        remedy: an edit or an option that mends it, if that is what it is.
+        remedy: an edit or an option that corrects it, if that is what it is.
         channels: where it is seen, by name.
         rows: first samples where it is seen, as a person counts them; at most ten.
     """
@@ -167,8 +167,8 @@ def sentinels(look: Look) -> Iterator[Oddity]:
                 yield Oddity(
                     "lost cells",
                     f"{look.cells(count, cells)} {recorded:g}{' ' * bool(unit)}{unit}, "
-                    f"{away / span:.2g} times as far out as the rest is wide "
-                    f"({look.at(rows)}), and may stand for what was not measured",
+                    f"{away / span:.2g} times the range of the other values from them "
+                    f"({look.at(rows)})and may mark missing values",
                     "empty these cells",
                     (name,),
                     look.numbers(rows),
@@ -199,7 +199,7 @@ def zeros(look: Look) -> Iterator[Oddity]:
             yield Oddity(
                 "lost cells",
                 f"{look.cells(len(rows), cells)} exactly 0 between values far from it "
-                f"({look.at(rows)}), and may be what was not measured",
+                f"({look.at(rows)})and may mark missing values",
                 "empty these cells",
                 (name,),
                 look.numbers(rows),
@@ -222,8 +222,8 @@ def wraps(look: Look) -> Iterator[Oddity]:
             turn = "360 deg" if channel.unit == "deg" else "2 pi"
             yield Oddity(
                 "wrap",
-                f"{look.of(channel)} jumps by about {turn} in {look.at(where)}, as an angle does "
-                "that is shown within a turn",
+                f"{look.of(channel)} jumps by about {turn} in {look.at(where)}, as a wrapped angle "
+                "does",
                 f"unwrap it: add or subtract {turn} from there on (numpy.unwrap)",
                 (name,),
                 look.numbers(where),
@@ -261,9 +261,10 @@ def glitches(look: Look) -> Iterator[Oddity]:
         rows = rows[odd]
         yield Oddity(
             "glitches",
-            f"{look.of(cells.channel)} is far beyond the cells around it in {look.at(rows)}: "
+            f"{look.of(cells.channel)} differs strongly from neighbouring cells in "
+            f"{look.at(rows)}: "
             f"{'glitches' if len(rows) > 1 else 'a glitch'} of the recording",
-            "empty these cells, or fit with --loss student_t, which tames outliers",
+            "empty these cells, or fit with --loss student_t, which is robust to outliers",
             (name,),
             look.numbers(rows),
         )
@@ -320,9 +321,9 @@ def takes(look: Look) -> Iterator[Oddity]:
     if at:
         yield Oddity(
             "take",
-            f"all that is recorded goes back to its beginning at once in {look.at(at)}: a second "
-            "recording seems to begin there",
-            "cut the file there, and give both parts with --data",
+            f"all recorded values return to their first values at once in {look.at(at)}: a second "
+            "recording seems to start there",
+            "split the file there, and give both parts with --data",
             tuple(each.channel.name for each in moving),
             look.numbers(at),
         )
@@ -366,15 +367,16 @@ def stamps(look: Look) -> Iterator[Oddity]:
         yield Oddity(
             "time",
             f"the stamps count {times[0]:g}, {times[1]:g}, {times[2]:g} s and so on to "
-            f"{times[-1]:g} s, as numbers of frames do",
-            "divide time_s by the pictures a second of the camera, if they are",
+            f"{times[-1]:g} s, like frame numbers",
+            "if so, divide time_s by the frame rate of the camera",
         )
     elif middle < 5e-5 or (middle > 5.0 and _turns_back(look)):
         off, by = (
             ("milliseconds", "time_s=time_ms") if middle > 5 else ("seconds", "time_ms=time_s")
         )
         yield wrong_unit(
-            f"the rows are {middle:.3g} s apart, which is no usual rate: the stamps may be {off}",
+            f"the rows are {middle:.3g} s apart, which is not a usual sample interval: the stamps "
+            f"may be {off}",
             f"--rename {by}, if they are",
         )
 
@@ -470,7 +472,7 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
         shown = f"{look.of(channel)} is up to {channel.from_si(most):.4g}"
         if channel.quantity == "ratio" and channel.kind == "contraction" and most > 1:
             yield wrong_unit(
-                f"{shown}, but a contraction is a part of the length: it may be in percent",
+                f"{shown}, but a contraction is a fraction of the length: it may be in percent",
                 "divide the column by 100",
                 (name,),
             )
@@ -502,7 +504,7 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
             if size and usual > 1.2 * size[channel.component or 0]:
                 yield wrong_unit(
                     f"{shown} px, but the picture has {size[channel.component or 0]} px: it may be "
-                    "that of another size",
+                    "from an image of another size",
                     "correct size_px in [camera.NAME], or the columns",
                     (name,),
                 )
@@ -512,7 +514,8 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
         size = float(np.nanmedian(np.sqrt(np.sum(np.square(parts), axis=0))))
         if len(parts) == 3 and 0.9 < size < 1.1:
             yield wrong_unit(
-                f"{name} is {size:.3g} m/s^2 in the middle, but at rest shows 9.81: it may be in g",
+                f"{name} is {size:.3g} m/s^2 as a median, but 9.81 is expected at rest: it may be "
+                "in g",
                 "multiply its columns by 9.81",
                 (name,),
             )
@@ -544,7 +547,7 @@ def noise_too_small(look: Look) -> Iterator[Oddity]:
             yield Oddity(
                 "units" if unit else "noise",
                 f"{look.of(cells.channel)} differs from cell to cell {factor:.2g} times less than "
-                f"the stated noise: {unit}{'or ' * bool(unit)}the noise is stated too large",
+                f"the stated noise: {unit}{'or ' * bool(unit)}the stated noise is too large",
                 (f"--rename {cells.channel.column}={name}_rad, or " if unit else "")
                 + "correct [noise]",
                 (name,),

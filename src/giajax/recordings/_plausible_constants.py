@@ -69,9 +69,9 @@ def constants(look: Look) -> Iterator[Oddity]:
                 bad &= ~((part.path == AIR.density.path) & (sizes > 900) & (sizes < 1100))
                 if bad.any():
                     yield wrong_constant(
-                        f"{name}.{key} is {number[bad][0]:g}, but it is usually from "
-                        f"{low / part.factor:.3g} to {high / part.factor:.3g}, in the unit of its "
-                        "key: it may be in another one",
+                        f"{name}.{key} is {number[bad][0]:g}, but the usual range is from "
+                        f"{low / part.factor:.3g} to {high / part.factor:.3g}in the unit of its "
+                        "key: the unit may be wrong",
                         "correct it in the sidecar",
                     )
     if look.run.model == "arm":
@@ -121,7 +121,7 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
         if least > 0 and torque > np.pi / 2 * least and not upright and section.muscles is None:
             yield wrong_constant(
                 f"with gravity and without buoyancy the arm weighs {torque:.3g} N m about its "
-                f"base, which a joint of {least:.3g} N m/rad does not carry",
+                f"base, which a joint of {least:.3g} N m/rad cannot carry",
                 "state buoyancy = true and trim = true in [arm], or gravity_m_per_s2 = 0 where "
                 "buoyancy balances weight",
             )
@@ -181,7 +181,7 @@ def force(look: Look) -> Iterator[Oddity]:
     if ratio > 20 or (weak and ratio < 1e-2):
         yield wrong_unit(
             f"the force is {ratio:.2g} times that of an ideal muscle of this size and pressure: "
-            "force, pressure or diameter may be in another unit",
+            "force, pressure or diameter may have a wrong unit",
             "correct the unit in the name of the column, or the key in [muscle]",
             ("force", "pressure"),
         )
@@ -189,7 +189,7 @@ def force(look: Look) -> Iterator[Oddity]:
     if limit is not None and not 0.01 < most / float(limit) < 5:
         yield wrong_unit(
             f"the pressure is up to {most / float(limit):.2g} times the stated limit: one of them "
-            "may be in another unit",
+            "may have a wrong unit",
             "correct the unit in the name of the column, or pressure_limit_kPa",
             ("pressure",),
         )

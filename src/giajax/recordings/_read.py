@@ -43,7 +43,7 @@ def selected(
     for name in channels or () if several else ():
         if not any(_may_hold(run, name) for run in everything):
             raise InputError(
-                f"'{name}' is no channel that these runs are compared in: choose among "
+                f"'{name}' is not a common channel of these runs: choose among "
                 f"{', '.join(dict.fromkeys(c for run in everything for c in run.observations))}"
             )
     chosen = list(runs)
@@ -238,7 +238,7 @@ def read_runs(
     rename: Mapping[str, str] | None = None,
     beside: Sequence[Run] = (),
 ) -> list[Run]:
-    """Read the runs of a fit, with the channels and the windows that its definition asks for.
+    """Read the runs of a fit, with the channels and the windows that its definition requests.
 
     It is about those `beside`, too: those that are fitted, of a validation.
 
@@ -284,7 +284,7 @@ def read_sidecar(path: str | Path) -> Definition:
     if not sidecar.exists():
         raise InputError(
             f"{sidecar} is a link to a file that does not exist, but must be the sidecar of "
-            f"{path}: mend or remove the link"
+            f"{path}: correct or remove the link"
         )
     definition = Definition.load(sidecar)
     for section in ("fit", "figures", "filling", "unrolling"):

@@ -58,7 +58,7 @@ def check_times(times: Times, naming: Naming, *, integrated: bool) -> None:
             raise InputError(
                 f"{naming.source}: a second recording seems to begin in {naming.at(at + 1)}, where "
                 f"time goes from {times[at]:.9g} s back to {times[at + 1]:.9g} s, but it must "
-                "strictly increase: cut the file there, and give both parts with --data"
+                "strictly increase: split the file there, and give both parts with --data"
             )
         raise InputError(
             f"{naming.source}: time goes from {times[at]:.9g} s to {times[at + 1]:.9g} s in "
@@ -292,8 +292,8 @@ class Run(ShownAsTable):
         stated = {**stated, **(units or {})}
         if absent := [column for column in stated if column not in given]:
             raise InputError(
-                f"{name}: units has {absent[0]!r}, which is no column, or one of stamps, which "
-                "need none: remove it"
+                f"{name}: units has {absent[0]!r}, which is not a column, or is a column of "
+                "stamps, which have no unit: remove it"
             )
         columns = {
             f"{column}_{stated[column]}" if column in stated else column: array
@@ -458,7 +458,7 @@ def build_run(
     sha256: str | None = None,
     partial: bool = False,
 ) -> Run:
-    """Decide the model, check the content (`InputError`: it is no run), freeze the arrays.
+    """Decide the model, check the content (`InputError`: it is not a run), freeze the arrays.
 
     `partial`: of a run that goes on, which may have one sample, and channels without a value yet.
     """

@@ -1,6 +1,6 @@
 """What a stored result and a journal say of how a fit was made: their keys and types.
 
-What a newer version adds is left alone here. Imports no JAX: a file that is no result is refused
+What a newer version adds is left alone here. Imports no JAX: a file that is not a result is refused
 before a model is built.
 """
 
@@ -134,7 +134,7 @@ def stored_result(path: str | Path) -> tuple[Path, dict[str, Any]]:
     """A `result.json`, by its path or that of its folder, as plain data, and the folder it is in.
 
     Raises:
-        InputError: there is no such file, or it is no result of this version.
+        InputError: the file does not exist, or it is not a result of this version.
     """
     path = Path(path)
     check_path(path)
@@ -152,5 +152,5 @@ def stored_result(path: str | Path) -> tuple[Path, dict[str, Any]]:
         raise InputError(f"{path} was written by another version of giajax: run the fit again")
     from_plain(_Result, record, what, remedy)
     if record.get("task"):
-        from_plain(StoredTask, record["task"], f"{path} has a damaged task", "fit its data anew")
+        from_plain(StoredTask, record["task"], f"{path} has a damaged task", "fit its data again")
     return path.parent, record

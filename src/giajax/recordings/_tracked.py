@@ -125,7 +125,7 @@ def read_beside(path: str | Path) -> Beside:
     """Read a table that was recorded beside a film, whose sidecar may say that commands are held.
 
     Raises:
-        InputError: it is not a table of known columns, or has no times.
+        InputError: it is not a table with known column names, or has no times.
     """
     table = read_table(Path(path))
     if table.times is None:

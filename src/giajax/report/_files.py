@@ -34,10 +34,10 @@ _SAME = (
     *("priors", "bounds", "ties", "groups", "hold_out"),
 )
 _WORDS = {
-    "definition": "the model's constants",
+    "definition": "the constants of the model",
     "runs": "what the sidecar states",
     "loss": "loss",
-    "hold_out": "what is held out",
+    "hold_out": "the held-out data",
 }
 
 

@@ -142,8 +142,8 @@ def plot(result: FitResult, run: Run | None = None) -> Figure:
     where the result was loaded.
 
     Raises:
-        InputError: as `giajax.predict`; the run is none of the fitted ones; or none is given, and
-            there are several or it has no file.
+        InputError: as `giajax.predict`; the run is not one of the fitted ones; or none is given,
+            and there are several or it has no file.
 
     Example:
         >>> result.plot().savefig("fit.png")  # doctest: +SKIP
@@ -157,7 +157,9 @@ def plot(result: FitResult, run: Run | None = None) -> Figure:
     known = (run.name, run.sha256)
     records = [each for each in result.runs if (each.name, each.sha256) == known]
     if len(records) != 1:
-        why = "several of that name were fitted" if records else "it was not fitted as it is now"
+        why = (
+            "several of that name were fitted" if records else "its data have changed since the fit"
+        )
         names = ", ".join(dict.fromkeys(each.name for each in result.runs))
         raise InputError(
             f"the run {run.name} has no record of its own, as {why}: give one of those that were "
@@ -381,7 +383,7 @@ def left_over_figure(
     worst = int(np.argmax([np.mean(table**2) for table in tables]))
     run, table = runs[worst], tables[worst]
     causes = _causes(result, run)
-    figure = new_figure(11, 6.4, f"Left over in {run.name}, in units of the noise")
+    figure = new_figure(11, 6.4, f"Residuals of {run.name}, in units of the noise")
     grid = figure.add_gridspec(2, max(len(causes), 1))
     _draw_spread(figure.add_subplot(grid[0, :]), run, table)
     left, sizes, _ = np.linalg.svd(table, full_matrices=False)
@@ -392,7 +394,7 @@ def left_over_figure(
         plain(axes)
         axes.set_xlabel(label)
         if place == 0:
-            axes.set_ylabel("what channels have in common")
+            axes.set_ylabel("common to several channels")
     return figure
 
 

@@ -291,8 +291,8 @@ def _section(summary: PosteriorSummary, result: FitResult, folder: Path) -> Page
     if summary.held:
         note += f", and so is what no channel responds to ({', '.join(summary.held)})"
     note += (
-        ". R-hat is 1 where the chains agree, ESS how many independent draws they are worth; the "
-        "linear interval is that of the Jacobian alone."
+        ". R-hat is 1 if the chains agree; ESS is the number of independent draws; the linear "
+        "interval uses the Jacobian alone."
     )
     shares = [
         (share, f"{channel} of {run}")

@@ -179,8 +179,8 @@ def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:
         early=True,
         table=_table(found, result),
         plots=[(curve.name, _plot(curve)) for curve in curves],
-        note="Each quantity was held at other values while all others were fitted. Line: how much "
-        "worse the fit becomes; dashed: what the standard error takes it for. The "
+        note="Each quantity was fixed at other values while all others were fitted. Line: increase "
+        "of the deviance; dashed: its approximation by the standard error. The "
         f"{100 * found.level:.3g} % interval ends where the line crosses the level; at orange dots "
         "another parameter is at a bound.",
     )
@@ -220,7 +220,7 @@ RecordView(
     record=Profiles,
     table=_table,
     sentences=lambda found, most: [
-        f"intervals of {found.level:.3g}; 'open' where the data give no end"
+        f"intervals of {found.level:.3g}; 'open' if the data give no limit"
     ],
     figure=_figure,
     section=_section,

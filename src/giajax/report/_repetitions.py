@@ -59,13 +59,13 @@ def bootstrap_summary(found: Bootstrap) -> list[str]:
     kind = "data of the fitted model with noise of its noise model"
     if found.method == "block":
         kind = "data of the fitted model with blocks of its residuals"
-    how = "noise and all" if found.whole else "with the noise as it was"
+    how = "including the noise estimation" if found.whole else "with fixed noise"
     sentences = [f"{found.size} repetitions, seed {found.seed}: {kind}, each fitted {how}"]
     if found.size < found.asked:
-        sentences.append(f"{found.asked - found.size} of {found.asked} were not done")
+        sentences.append(f"{found.asked - found.size} of {found.asked} were not completed")
     share = 100 * found.came_back / found.size
-    others = f"; the others were ended by: {_listed(found.reasons)}" if found.reasons else ""
-    sentences.append(f"{found.came_back} of {found.size} fits came back ({share:.3g} %){others}")
+    others = f"; the others failed: {_listed(found.reasons)}" if found.reasons else ""
+    sentences.append(f"{found.came_back} of {found.size} fits converged ({share:.3g} %){others}")
     sentences += [
         f"{path} ended at a bound in {count} of {found.came_back}"
         for path, count in found.at_bounds.items()
@@ -98,7 +98,7 @@ def bootstrap_figure(found: Bootstrap, title: str = "") -> Figure:
     title = title or f"{found.came_back} repetitions, {found.method}"
     figure = new_figure(3.5 * across + 0.3, 2.5 * down + 0.5, title)
     if not drawn:
-        figure.text(0.5, 0.4, "no two repetitions came back", color=GREY, ha="center")
+        figure.text(0.5, 0.4, "fewer than two repetitions converged", color=GREY, ha="center")
     for (path, one), axes in zip(drawn, grid_of(figure, len(drawn), across), strict=True):
         values = np.asarray(one.values)
         axes.hist(
@@ -147,13 +147,13 @@ def _bootstrap_section(found: Bootstrap, result: FitResult, folder: Path) -> Pag
     return PageSection(
         id="repetitions",
         name="Repeated",
-        heading="The fit repeated",
+        heading="Repetitions of the fit",
         intro=f"{first}.",
         table=Table(*bootstrap_table(found)),
         sentences=others,
         plots=[(path, _histogram(one)) for path, one in _drawn(found, _MOST_ON_PAGE)],
-        note="Bars: where the repetitions ended; dashed: the result, which made their data; red: "
-        "95 % of them lie between.",
+        note="Bars: estimates of the repetitions; dashed: the result that generated their data; "
+        "red: interval with 95 % of them.",
     )
 
 
@@ -215,8 +215,8 @@ def influence_table(found: Influence, most: int | None = None) -> tuple[list[str
 def influence_summary(found: Influence) -> list[str]:
     """Sentences beside the table: what it shows, what failed, and what is left out."""
     sentences = [
-        "shift of each parameter without the part, in standard errors, and in brackets how many "
-        "times as large the error would be; over expected: beyond 3 a part contradicts the others"
+        "shift of each parameter without the part, in standard errors, with the factor on its "
+        "error in brackets; over expected: above 3, a part contradicts the others"
     ]
     lost = [part for part in found.parts if None in part.steps.values()]
     for path in found.parameters:
@@ -256,7 +256,9 @@ def influence_figure(found: Influence, title: str = "") -> Figure:
     axes.xaxis.tick_top()
     plain_colorbar(axes, image, pad=0.02)
     if len(found.parts) > len(parts):
-        axes.set_xlabel(f"{len(found.parts) - len(parts)} more parts move less", color=GREY)
+        axes.set_xlabel(
+            f"{len(found.parts) - len(parts)} more parts have less influence", color=GREY
+        )
     return figure
 
 
@@ -278,7 +280,7 @@ def _cell(part: LeftOut, path: str) -> str:
 
 def _influence_sentences(found: Influence, most: int | None) -> list[str]:
     more = 0 if most is None else len(found.parts) - most
-    left_out = [f"and {more} more, which move less (--rows)"] if more > 0 else []
+    left_out = [f"and {more} more with less influence (--rows)"] if more > 0 else []
     return left_out + influence_summary(found)
 
 
@@ -291,7 +293,7 @@ RecordView(
     section=lambda found, result, folder: PageSection(
         id="influence",
         name="Influence",
-        heading="What each part of the data does",
+        heading="Influence of each part of the data",
         table=Table(*influence_table(found), 2),
         folded="parts of the data",
         sentences=influence_summary(found),

@@ -63,11 +63,11 @@ def _cells(row: Suspect) -> list[str]:
         shown = format_estimate(estimate, error if isinstance(error, float) else None)
     remarks = [row.note] if row.note else []
     if row.begun:
-        remarks.append("with the values that the fit began with")
+        remarks.append("with the initial values of the fit")
     if others := dict.fromkeys([*row.alike, *row.together]):
-        remarks.append(f"the data can hardly tell it from {', '.join(others)}")
+        remarks.append(f"the data can hardly distinguish it from {', '.join(others)}")
     if row.kind == "switch" and estimate is not None:
-        remarks.append("estimate: how much of the change, 0 to 1")
+        remarks.append("estimate: share of the change, 0 to 1")
     if row.kind == "factor":
         remarks.append("a factor on all of its elements")
     return [
@@ -88,7 +88,7 @@ def suspect_summary(found: Suspects) -> list[str]:
         f"fitted parameters; {found.asked} tests, p-values corrected for their number"
     ]
     if not found.significant:
-        sentences.append("no suspect is significant: nothing that can be freed is asked for")
+        sentences.append("no suspect is significant")
     notes: dict[str, list[str]] = {}
     for row in found.untestable:
         notes.setdefault(row.note, []).append(row.path)
@@ -138,7 +138,7 @@ def explained_summary(found: Explanation) -> list[str]:
     added = ", ".join(found.added) or "nothing"
     last = found.steps[-1]
     sentences = [
-        f"the data ask for {added} beyond the first model; {found.ending}",
+        f"the data support {added} in addition to the first model; {found.ending}",
         f"verdict: {found.verdict}" + "".join(f"; {one}" for one in found.sentences[:1]),
         f"chi-square {last.chi_square:.5g} of {last.values} values and {last.parameters} fitted "
         "parameters",
@@ -147,11 +147,11 @@ def explained_summary(found: Explanation) -> list[str]:
         later = "".join(f" before {step.change}" for step in found.steps if step.kind == "data")
         off, off_first = judged[-1].held_out, judged[0].held_out
         sentences.append(
-            f"what no step{later} was fitted to is off by {off:.3g} times its noise "
+            f"the held-out data{later} have an error of {off:.3g} times their noise "
             f"({off_first:.3g} by the first model)"
         )
     if found.outliers:
-        sentences.append(f"{found.outliers} outliers were seen: the loss is {found.loss}")
+        sentences.append(f"{found.outliers} outliers were found: the loss is {found.loss}")
     near = ", ".join(
         f"{found.tried[i].change} ({behind(found.steps, found.tried[i])[0]:+.2g})"
         for i in found.near
@@ -167,11 +167,14 @@ def explained_summary(found: Explanation) -> list[str]:
             unit = f" {one.unit}" if one.unit else ""
             sentences.append(
                 f"{one.path} = {value} +- {error}{unit}, of which "
-                f"{format_number(one.selection_error, '.2g')} by what fits nearly as well"
+                f"{format_number(one.selection_error, '.2g')} from other models that fit nearly "
+                "as well"
             )
-        sentences.append("errors are conditional on a model that these data selected")
+        sentences.append(
+            "the errors are conditional on a model that was selected with the same data"
+        )
     if found.axes:
-        sentences.append("the runs with the right columns are beside explain.json")
+        sentences.append("the runs with corrected columns are beside explain.json")
     return sentences
 
 
@@ -183,12 +186,12 @@ RecordView(
     section=lambda found, result, folder: PageSection(
         id="explained",
         name="Explanation",
-        heading="What the data ask for",
+        heading="What the data support",
         early=True,
         table=explained_table(found, [*found.steps, *(found.tried[i] for i in found.near)]),
         sentences=explained_summary(found),
-        note="One row for each step, and below them for each model that was tried and fits nearly "
-        "as well; chi-square and BIC by the white noise of the last step.",
+        note="One row for each step, and below it for each other model that fits nearly as "
+        "well; chi-square and BIC with the white noise of the last step.",
     ),
 )
 
@@ -260,13 +263,13 @@ def contrast_tables(found: Contrast) -> tuple[tuple[list[str], Rows], tuple[list
     if any(column.bic is not None for column in columns):
         about["BIC, less the least"] = [format_number(column.bic) for column in columns]
     if any(column.held_out is not None for column in columns):
-        words = "held out, times what it may be off"
+        words = "held out, error over expected error"
         about[words] = [format_number(column.held_out) for column in columns]
     return (headings, rows), (["", *names], [[name, *cells] for name, cells in about.items()])
 
 
 def contrast_json(found: Contrast) -> str:
-    """The same as JSON, in all digits."""
+    """The same as JSON, at full precision."""
 
     def facts(one: Estimate | None) -> dict[str, Any] | None:
         if one is None:

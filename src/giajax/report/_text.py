@@ -28,7 +28,7 @@ PAGE = "report.html"
 SIGNATURE = "giajax fit"
 
 MOST_RUNS = 6
-"""How many are drawn: a picture takes a second, and nobody looks at twenty of them."""
+"""How many are drawn: a picture takes a second, and twenty are too many to look at."""
 
 
 def worth_drawing(result: FitResult) -> list[int]:
@@ -57,7 +57,7 @@ _LARGE = 1000.0
 def source_lines(result: FitResult) -> list[str]:
     """A line for each recording that determines something which the others hardly do.
 
-    Such as `bench: nothing else determines alpha.offset`.
+    Such as `bench: only source of information on alpha.offset`.
     """
     alone: dict[str, list[str]] = {}
     mostly: dict[str, list[str]] = {}
@@ -70,8 +70,8 @@ def source_lines(result: FitResult) -> list[str]:
                 mostly.setdefault(recording, []).append(f"{path} ({times})")
     lines = []
     for recording in dict.fromkeys([*alone, *mostly]):
-        said = {"nothing else determines": alone.get(recording)}
-        said["without it errors are as many times as large:"] = mostly.get(recording)
+        said = {"only source of information on": alone.get(recording)}
+        said["factor on the errors without it:"] = mostly.get(recording)
         parts = [f"{words} {', '.join(paths)}" for words, paths in said.items() if paths]
         lines.append(f"{recording}: {'; '.join(parts)}")
     return lines
@@ -138,9 +138,9 @@ def _noise(result: FitResult) -> list[str]:
     sentence = f"correlated over {span} s in {names} of {every} channels"
     if trends := result.noise.trends:
         sentence += (
-            f"; in {', '.join(trends[:4])}{', ...' * (len(trends) > 4)} over half of the record or "
-            "more: a trend that the model lacks, or noise stated too large, which makes no error "
-            "smaller"
+            f"; in {', '.join(trends[:4])}{', ...' * (len(trends) > 4)} over at least half of the "
+            "record: the model lacks a trend, or the stated noise is too large; the standard "
+            "errors are not reduced"
         )
     if factors := _range(list(result.noise.widening.values()), 2):
         sentence += (
@@ -189,7 +189,7 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     add("residuals", _of_runs(result.runs, _residuals, "residuals of"))
     own = list(filter(None, (run.parameters.keys() - result.free for run in result.runs)))
     if own:
-        text = f"{sum(map(len, own))} values of {len(own)} runs alone were fitted, too"
+        text = f"{sum(map(len, own))} values of {len(own)} single runs were also fitted"
         add("initial states", [f"{text}; result.json has them"])
     add("validation", _of_runs(result.validation, _errors, "prediction of"))
     add("held out", _of_runs(result.held_out, _held_out, "prediction of"))
@@ -226,7 +226,7 @@ def _starts(result: FitResult) -> list[str]:
     for optimum in others[:_MANY]:
         where = ", ".join(f"{path} {value:.4g}" for path, value in optimum.values.items())
         who = "1 start" if optimum.reached == 1 else f"{optimum.reached} starts"
-        lines.append(f"another optimum, by {who}, worse by {optimum.worse:.3g}: {where} (SI)")
+        lines.append(f"another optimum, from {who}, worse by {optimum.worse:.3g}: {where} (SI)")
     return lines + [
         f"{count} did not converge: {why}" for why, count in lost_starts(result).items()
     ]
@@ -327,7 +327,7 @@ def _tolerance(result: FitResult) -> str:
     effect, integration = result.tolerance_effect, result.integration
     which = ""
     if integration is not None:
-        chosen = ", chosen by what it moves" if integration.chosen else ""
+        chosen = ", chosen automatically" if integration.chosen else ""
         which = f"{integration.tolerance:.0e} of {integration.solver}{chosen}; "
     if capabilities.refined(result.model, 1.0) is None:
         return f"{which}not checked: the {result.model.kind} model cannot be refined"
@@ -335,4 +335,4 @@ def _tolerance(result: FitResult) -> str:
         return f"{which}effect not known"
     finer = {0.5: "half", 0.1: "a tenth"}.get(effect.factor, "a hundredth")
     largest = effect.largest_in_standard_errors
-    return f"{which}{finer} of it moves no parameter by more than {largest:.1e} standard errors"
+    return f"{which}{finer} of it changes no parameter by more than {largest:.1e} standard errors"

@@ -113,7 +113,7 @@ def sections(result: FitResult, source: Path | None) -> list[PageSection]:
         except InputError as error:
             found.append(_damaged(path, str(error)))
         except OSError as error:
-            found.append(_damaged(path, f"it cannot be read ({error.strerror}): mend that"))
+            found.append(_damaged(path, f"it cannot be read ({error.strerror}): make it readable"))
         except (LookupError, TypeError, ValueError, ArithmeticError):
             found.append(_damaged(path, f"its numbers do not agree: {remedy}"))
     return found

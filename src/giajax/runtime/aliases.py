@@ -1,7 +1,7 @@
 """Names of earlier versions: they work on with a warning until a stated date.
 
 `docs/migration.md` lists them. A module that has moved is found by the first entry of the path of
-`giajax`, which is no folder, and what it had is looked up where it is now.
+`giajax`, which is not a folder, and what it had is looked up where it is now.
 """
 
 import importlib

@@ -26,7 +26,7 @@ Scalar = Float[Array, ""]
 def on_device(values: Any, dtype: Any = None) -> Array:
     """Numbers that are known now, and are not changed afterwards, as an array of JAX.
 
-    Without a program: `jnp.asarray` compiles one for every shape, in each process anew.
+    Without a program: `jnp.asarray` compiles one for every shape, in each process again.
     """
     return jax.device_put(np.asarray(values, dtype))
 
@@ -134,7 +134,7 @@ def larger(x: Array, y: Array | float) -> Array:
     `jnp.minimum`, `jnp.clip` and `jnp.hypot` ask whether the result equals an argument. A compiler
     may work out that argument twice and round it differently (a product and a sum in one
     instruction): then nothing is equal, and the derivative is 0 where it is not. As there, what is
-    no number makes none.
+    not a number makes none.
     """
     return jnp.where((x < y) | (y != y), y, x)
 
@@ -267,8 +267,8 @@ def in_small_loops(
 ) -> Array:
     """What a function makes of all rows (along the last axis), a few at a time.
 
-    `loop` goes over the places of some rows, shape (row, place); `instead` is of `x` where there
-    are no rows, or too many.
+    `loop` goes over the places of some rows, shape (row, place); `instead` is of `x` where rows
+    are missing or too many.
     """
     rows: Any = x.reshape(-1, x.shape[-1]) if x.size else x[:0]
     loops = -(-len(rows) // _ROWS)

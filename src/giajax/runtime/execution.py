@@ -263,7 +263,7 @@ class Processes(Executor):
 
 @contextlib.contextmanager
 def open_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
-    """The executor of `run_tasks` that `--workers` and `--scheduler` ask for, until the block ends.
+    """The executor of `run_tasks` that `--workers` and `--scheduler` request, until the block ends.
 
     So many processes of this machine (None or 1: this one), or a cluster of dask.distributed at
     `tcp://host:8786`, whose workers have this version of giajax and see the same files.
@@ -354,7 +354,7 @@ def run_tasks(
 
     Returns:
         An outcome for each task, in their order. After Ctrl-C, which stops the workers that
-        `open_executor` began, those that were not done are "stopped".
+        `open_executor` began, those that were not completed are "stopped".
 
     Raises:
         InputError: a folder that cannot be or be written, an executor that takes no tasks, or a
@@ -424,7 +424,7 @@ class _Study:
             client = getattr(self.executor, "_client", None)
             if getattr(client, "status", "") in ("closing", "closed"):
                 raise InputError(
-                    "the scheduler is gone: start it again, and give the same command with its "
+                    "the scheduler is lost: start it again, and give the same command with its "
                     "address"
                 )
             for future in done:
@@ -452,8 +452,8 @@ class _Study:
                     self.doubtful.append(key)
                     return
                 message = (
-                    f"its worker ended {ATTEMPTS} times while it ran: see whether it has the "
-                    "memory, and run it again"
+                    f"its worker ended {ATTEMPTS} times while it ran: check its memory, and run it "
+                    "again"
                 )
             else:
                 message = abridged(" ".join(f"{type(error).__name__}: {error}".split()))

@@ -117,7 +117,7 @@ def read_text(path: Path, most: int, form: str, wanted: str) -> str:
     """The text of a file in UTF-8, as `read_bytes`; what it is, and what to give, in errors.
 
     Raises:
-        InputError: there is no such file, or it cannot be read, or is no text.
+        InputError: there is no such file, or it cannot be read, or is not a text.
     """
     try:
         return read_bytes(path, most).decode("utf-8-sig")
@@ -148,8 +148,8 @@ def keep(path: Path, data: bytes) -> None:
 def part_of(path: Path) -> Path:
     """Where a file is written, beside its place, before it is moved there.
 
-    Not guessable, short where the name is long, and to be opened only if it is not there: nobody
-    can have put a link in its way.
+    Not guessable, short where the name is long, and to be opened only if it is not there: no
+    other process can have put a link there.
     """
     return path.with_name(f".{secrets.token_hex(16)}.part")
 
@@ -336,4 +336,4 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _no_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a JSON number")

@@ -2,7 +2,7 @@
 
 A key is kept in the name of a file and gives a task its random numbers, so that it must stay when
 code moves. The identities below are the names of version 0.1.0, and are never changed: "/" stands
-for "." so that nobody who replaces the name of a module replaces one of them. Each has beside it
+for "." so that replacing the name of a module does not change them. Each has beside it
 the module in which the code lies now, which is to be changed with the code, and ":Name" where it
 has another name now.
 

@@ -32,8 +32,8 @@ def run_in_threads(
 ) -> list[Result | None]:
     """Results of jobs, of which some run at once.
 
-    What a job tells is called in the thread of the caller, and in the order of the jobs: of a later
-    one it waits until the earlier ones have ended. After Ctrl-C, or where what is told raises
+    What a job reports is called in the thread of the caller, and in the order of the jobs: of a
+    later one it waits until the earlier ones have ended. After Ctrl-C, or where what is told raises
     `KeyboardInterrupt`, the jobs that run are stopped by the next thing that they tell, and the
     others do not begin: their result is None. What a job returns when it is stopped is its result,
     too. At most so many run at once, until a result stops the others.
@@ -212,7 +212,7 @@ def map_on_cores(
 
     Arguments:
         function: of one item and `shared`; at the top of a module, because a function that is made
-            anew is compiled anew.
+            again is compiled again.
         items: a pytree of arrays with a leading axis of the items.
         shared: further arguments, the same for all items.
         batch_size: so many items at once within a share, by `jax.vmap`.
@@ -221,7 +221,7 @@ def map_on_cores(
         What the function returns, each leaf with a leading axis of the items, in NumPy's arrays.
 
     Raises:
-        InputError: there are no items, or the environment variable GIAJAX_CORES is no number.
+        InputError: there are no items, or the environment variable GIAJAX_CORES is not a number.
 
     Example:
         >>> import giajax

@@ -116,7 +116,7 @@ def load_plugin(path: Path, digest: str = "") -> None:
     if path in _PLUGINS:
         return
     if path.suffix != ".py" or not name.isidentifier():
-        raise InputError(f"{path} is no plug-in: give a Python file, such as laws.py")
+        raise InputError(f"{path} is not a plug-in: give a Python file, such as laws.py")
     other = importlib.util.find_spec(name)
     if name in sys.modules or (other is not None and other.origin != str(path)):
         raise InputError(f"{path} is called as another module, '{name}': give it another name")
@@ -126,7 +126,7 @@ def load_plugin(path: Path, digest: str = "") -> None:
         raise InputError(f"there is no plug-in {path}: correct the path") from None
     found = hashlib.sha256(data).hexdigest()
     if digest not in ("", found):
-        raise InputError(f"{path} has changed while it was in use: begin again")
+        raise InputError(f"{path} has changed while it was in use: start again")
     module = sys.modules[name] = ModuleType(name)
     module.__file__ = str(path)
     try:
@@ -214,7 +214,7 @@ def sources_of(tree: Any) -> dict[str, str]:
 
 
 def check_sources(versions: Mapping[str, str], said: str = "") -> None:
-    """Refuse to go on from what was made with other files than those of the registered classes.
+    """Refuse to continue from what was made with other files than those of the registered classes.
 
     They are others of the same name, or others of the classes that `said` names.
 
@@ -224,14 +224,14 @@ def check_sources(versions: Mapping[str, str], said: str = "") -> None:
     now = _sources(cls for known in _CLASSES.values() for cls in known.values())
     for name, text in versions.items():
         if text.startswith(SUM) and now.get(name, text) != text:
-            raise InputError(f"{name} has changed since: give the one of then, or fit anew")
+            raise InputError(f"{name} has changed since: give the former version, or fit again")
     here = sources_named(said)
     lost = [file for file in versions.items() if file[1].startswith(SUM) and file[0] not in here]
     for name, found in here.items():
         if lost and found.startswith(SUM) and found not in versions.values():
             raise InputError(
                 f"it was made with {lost[0][0]}, and here {name} has a class of that name: give "
-                "the one of then, or fit anew"
+                "the former version, or fit again"
             )
 
 

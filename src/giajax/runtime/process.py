@@ -155,9 +155,9 @@ def configure() -> None:
             if not is_private(folder):
                 jax.config.update("jax_compilation_cache_dir", None)
                 _note(
-                    f"{folder} can be written by others, or belongs to another, or cannot be "
-                    "entered, so that programs from there may do anything: none is used or kept "
-                    "there; chmod go-w it, or set JAX_COMPILATION_CACHE_DIR to another folder"
+                    f"{folder} can be written by other accounts, belongs to another account, or "
+                    "cannot be entered, so its programs are not trusted and not used; "
+                    "chmod go-w it, or set JAX_COMPILATION_CACHE_DIR to another folder"
                 )
                 return
         if _own_process:
@@ -174,7 +174,7 @@ def configure() -> None:
 
 
 def is_private(folder: Path) -> bool:
-    """Whether nobody else can write into a folder, or it is not there."""
+    """Whether no other account can write into a folder, or it is not there."""
     if not hasattr(os, "geteuid"):
         return True
     try:
@@ -207,7 +207,7 @@ def _say_of_cache(show: Callable[..., None]) -> Callable[..., None]:
             why = " ".join(str(message).partition(": ")[2].split())
             _note(
                 f"compiled programs in {compilation_cache()[0]} cannot be read or written ({why}), "
-                "and are compiled anew: see giajax cache"
+                "and are compiled again: see giajax cache"
             )
 
     return shown
@@ -252,7 +252,7 @@ def cores() -> int:
     """On how many cores to compute: those that this process may use, or as many as so told.
 
     Raises:
-        InputError: the environment variable is no positive number.
+        InputError: the environment variable is not a positive number.
     """
     import jax
 
@@ -328,7 +328,7 @@ _limit: Any = None
 
 @contextlib.contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """BLAS computes in the thread that calls it, until the last of those who ask for it is done."""
+    """BLAS computes in the thread that calls it, until the last of those who request it is done."""
     global _users, _limit
     with _lock:
         if not _users:

@@ -84,7 +84,7 @@ def parse_record(
 def from_plain(
     kind: type[Kind],
     data: Any,
-    what: str = "this is no record of giajax",
+    what: str = "this is not a record of giajax",
     remedy: str = "correct it",
 ) -> Kind:
     """The record that plain data hold.
@@ -164,7 +164,7 @@ def _complaint(error: ValidationError, data: Any) -> str:
     if first["type"] == "missing":
         return f"{name} is missing"
     if first["type"] == "unexpected_keyword_argument":
-        return f"{name} is no key that this version knows"
+        return f"{name} is not a key of this version"
     if first["type"] == "value_error":  # raised by the record
         return f"{name} {first['ctx']['error']}"
     must = _MUST.get(first["type"], "something else")

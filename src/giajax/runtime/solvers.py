@@ -17,7 +17,7 @@ def as_text(given: Any) -> Any:
     """A solver or controller as files state it; what is no such object as it is.
 
     Raises:
-        InputError: its class is neither of diffrax nor registered, or a field is no number.
+        InputError: its class is neither of diffrax nor registered, or a field is not a number.
     """
     if not dataclasses.is_dataclass(given):
         return given
@@ -48,7 +48,8 @@ def from_text(text: str) -> Any:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{shown(text)} is no solver: write it as Python does, such as Kvaerno5(), with fields "
+            f"{shown(text)} is not a solver: write it as Python does, such as Kvaerno5(), with "
+            "fields "
             "that it has"
         ) from None
 

@@ -153,7 +153,9 @@ def read_outcome(folder: str | Path, key: str) -> Outcome | None:
     """What is kept of a task that is done; None if its file is missing, damaged or of another."""
     try:
         text = read_bytes(outcome_path(Path(folder), key), RESULT_BYTES)
-        outcome = parse_record(Outcome, text, _HEAD, "this is no outcome of a task", "do it again")
+        outcome = parse_record(
+            Outcome, text, _HEAD, "this is not an outcome of a task", "run the task again"
+        )
     except (OSError, InputError):
         return None
     return outcome if outcome.key == key and outcome.status == "done" else None

@@ -234,7 +234,7 @@ def _without_middle(text: str, each: int) -> str:
 
 
 def error_in_words(error: BaseException) -> str:
-    """An error that is no `InputError` on one line: what, where, and why."""
+    """An error other than an `InputError` on one line: what, where, and why."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({PurePath(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     return abridged(" ".join(f"{type(error).__name__}{where}: {error}".split()))

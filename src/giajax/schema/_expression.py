@@ -88,7 +88,7 @@ def _wrong(text: str) -> InputError:
 
 
 def _node(node: ast.AST, text: str, paths: dict[str, None], depth: int) -> _Node:
-    """A part of the parsed text; whatever is no arithmetic raises `ValueError`."""
+    """A part of the parsed text; whatever is not arithmetic raises `ValueError`."""
     if depth > _DEEPEST:
         raise ValueError
     if isinstance(node, ast.BinOp) and type(node.op) in _SIGNS:

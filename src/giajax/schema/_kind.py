@@ -244,9 +244,13 @@ def _check_row(row: ChannelKind, others: Iterable[ChannelKind]) -> None:
     """
     what = f"the channel {row.column}"
     if row.quantity not in {None, *QUANTITIES}:
-        raise InputError(f"{what} is of no quantity {row.quantity!r}: use {one_of(QUANTITIES)}")
+        raise InputError(
+            f"{what} has the unknown quantity {row.quantity!r}: use {one_of(QUANTITIES)}"
+        )
     if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", row.column) or row.column.count("NN") > 1:
-        raise InputError(f"{what} is no name: use letters, digits and _, and NN once at most")
+        raise InputError(
+            f"{what} is not a valid name: use letters, digits and _, and NN once at most"
+        )
     if "time" in (row.name, row.column):
         raise InputError(f"{what} of the row '{row.name}' is not time, which all have: rename it")
     if row.part not in (parts := get_args(Part)):

@@ -71,7 +71,7 @@ class SteeringSection(Section):
 
 
 class MissionWindSection(Section):
-    """`[mission.wind]`: the air that nobody tells the operator of."""
+    """`[mission.wind]`: the air, which the operator does not know."""
 
     speed_m_per_s: NotNegative = key(NOT_NEGATIVE, "root mean square of its velocity", default=0.2)
     mean: _Share = key(

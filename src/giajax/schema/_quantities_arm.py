@@ -309,7 +309,7 @@ INITIAL = _Initial("initial")
 
 NO_NEUTRAL = (LINKS.length, LINKS.diameter, LINKS.mass,
               JOINTS.pitch_stiffness, JOINTS.yaw_stiffness, JOINTS.damping)  # fmt: skip
-"""What an arm that somebody describes must state, because no number of it goes without saying."""
+"""What a user's arm must state, because no number of it goes without saying."""
 
 
 class _Contact(Group):

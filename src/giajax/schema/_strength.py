@@ -56,8 +56,8 @@ def collapse(pressure: npt.ArrayLike, diameter: npt.ArrayLike, pull: float) -> s
     alone = borne.size == 1
     these = "each link bears" if alone else f"{weak.size} of {borne.size} links bear"
     return (
-        f"{these} less than the {pull:.1f} N that one muscle pulls with at its pressure limit, and "
-        f"would collapse: p pi r^2 {'' if alone else f'of link {least + 1} '}is "
+        f"{these} less than the {pull:.1f} N pull of one muscle at its pressure limit, and would "
+        f"collapse: p pi r^2 {'' if alone else f'of link {least + 1} '}is "
         f"{borne[least]:.1f} N, at {pressures[least]:.1f} Pa"
     )
 

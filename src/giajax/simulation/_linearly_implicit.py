@@ -162,7 +162,7 @@ _FRAME = 0.03
 class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
     """ARK5(4)8L[2]SA of Kennedy and Carpenter with the joints' springs as its implicit part.
 
-    The equation y' = f(t, y) is split, anew in each step, into J y + g(t), implicit, and the rest,
+    The equation y' = f(t, y) is split, again in each step, into J y + g(t), implicit, and the rest,
     explicit, with J = [[0, 1], [-M^-1 K, -M^-1 D]] of the mass matrix, stiffness and damping at
     the start of the step, and g = [0, M^-1 (tau(t) - tau(t0))] of the torque with which commands
     and drives pull. Of a stiff spring that follows its command, both ends must be in one part:

@@ -385,7 +385,7 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
     While a program is traced no number is checked.
 
     Raises:
-        InputError: pressures for joints without muscles, pressures that are no numbers from 0 to
+        InputError: pressures for joints without muscles, pressures that are not numbers from 0 to
             the limit of the muscles, a command beyond 60 deg or for which they are too weak, an
             impossible geometry, or one whose lever jumps at 0.
     """

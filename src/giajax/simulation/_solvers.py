@@ -45,7 +45,7 @@ def solver(named: Solver, *, reverse: bool = True) -> "diffrax.AbstractSolver[An
     """The method that is named, to be differentiated in reverse mode or not.
 
     Raises:
-        InputError: there is none of the name, or it is not for ordinary differential equations.
+        InputError: there is no such name, or it is not for ordinary differential equations.
     """
     import diffrax
 

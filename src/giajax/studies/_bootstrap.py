@@ -39,7 +39,7 @@ class Repeated:
         percentile: from the 2.5th to the 97.5th percentile of the repetitions.
         basic: the same, mirrored at the value: what the value may have come from.
         covered: of how many repetitions the 95 % interval holds the value that made their data;
-            None where that is no truth (blocks), or of what has no interval.
+            None where that is not the truth (blocks), or of what has no interval.
         asked: how many have an interval.
         coverage: `covered` over `asked`.
         coverage_interval: where the coverage is by 95 % (Clopper and Pearson 1934).
@@ -403,7 +403,7 @@ def bootstrap(
     - **block**: with blocks of the residuals in place of that noise. They have the memory and the
       sizes that the residuals really have; the intervals of the result are not judged.
 
-    What priors know is drawn anew, too, as one more measurement.
+    What priors know is drawn again, too, as one more measurement.
 
     Each repetition begins where the fit ended, and so cannot tell whether others start to end
     elsewhere (`giajax.multi_start` does). Its noise is held as fitted, weights of outliers too,
@@ -435,8 +435,8 @@ def bootstrap(
         raise InputError(f"the seed is {seed}: give 0 or a positive number")
     if whole and result.config.get("priors"):
         raise InputError(
-            "a fit with priors cannot be repeated whole, because what they know is not drawn anew "
-            "there: leave whole (--whole) out, or fit without (--no-nuisances)"
+            "a fit with priors cannot be repeated whole, because the prior values are not drawn "
+            "again: leave whole (--whole) out, or fit without priors (--no-nuisances)"
         )
     optimum = fitted.optimum()
     common = {"method": method, "whole": whole, "seed": seed}
@@ -494,18 +494,20 @@ def _parameters(
 
 def _notes(result: FitResult, method: Method, *, whole: bool) -> tuple[str, ...]:
     """What the repetitions leave out."""
-    notes = ["each repetition begins where the fit ended, so that other optima are not looked for"]
+    notes = ["each repetition starts at the optimum of the fit, so other optima are not searched"]
     if not whole:
         notes.append(
-            "the noise is held as it was fitted, so that what its estimation adds is left out: "
-            "whole=True (--whole) repeats that, too"
+            "the noise is fixed at its fitted value, so the uncertainty from its estimation is "
+            "left out: whole=True (--whole) includes it"
         )
     if method == "parametric":
-        notes.append("the data are those of the fitted model and noise, which are taken for right")
+        notes.append(
+            "the data are simulated with the fitted model and noise, which are assumed correct"
+        )
         if not result.loss.is_linear:
             notes.append(
-                "noise is normal, and larger where a cell counts for little: such outliers as the "
-                "loss is robust against are made in no other cells"
+                "the noise is normal, and larger in cells with a low weight: other cells get no "
+                "outliers"
             )
     else:
         notes.append(

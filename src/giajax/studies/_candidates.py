@@ -17,8 +17,8 @@ from ._score import responses_of, white_noise
 # still air; but in a recorded wind that changes, what is on has the pressure of the air that speeds
 # up as well, which acts on whatever displaces it.
 _REASON = (
-    "also at its neutral value it changes what is predicted for these runs, so that no test can "
-    "begin there: free it in a fit"
+    "its neutral value also changes the predictions for these runs, so it cannot be tested: free "
+    "it in a fit"
 )
 
 _NOTICED = 0.05  # of the noise of a channel: what the steps of an integrator change is far less
@@ -132,7 +132,7 @@ def inquiry(
         model: the fitted model.
         free: paths of the parameters that were fitted.
         each: paths of arrays whose elements are asked for one by one, and together, in place of
-            all in proportion. An InputError where one is no array of this model.
+            all in proportion. An InputError where one is not an array of this model.
         ties: expressions by the paths of what follows from them.
         without: paths of what is not to be switched on, and why.
         beside: paths of arrays whose elements are asked for one by one, beside all in proportion.
@@ -149,8 +149,8 @@ def inquiry(
     for path in each:
         if path not in known or not (known[path].declaration.per or known[path].declaration.shape):
             raise InputError(
-                f"'{path}' has no elements to be asked for one by one: name a parameter that has "
-                "one value per link, joint or axis"
+                f"'{path}' has no elements to test one by one: name a parameter with one value per "
+                "link, joint or axis"
             )
     for path in {*each, *beside}.intersection(known):
         # One number for all joints becomes one for each.
@@ -175,8 +175,8 @@ def _free_direction(model: AbstractModel, known: dict[str, Parameter], path: str
     name, _, index = path.partition("[")
     if name not in known:
         raise InputError(
-            f"the fitted parameter '{path}' is none of the model's: give a result whose free "
-            "parameters belong to its model"
+            f"the fitted parameter '{path}' is not a parameter of the model: give a result whose "
+            "free parameters belong to its model"
         )
     step = np.zeros(np.shape(known[name].value(model)))
     step[int(index[:-1]) if index else ...] = 1.0

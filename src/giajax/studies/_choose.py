@@ -67,7 +67,7 @@ def parted(run: Run, fraction: float) -> tuple[Run, Run]:
     if first < _LEAST or len(measured) - first < _LEAST:
         raise InputError(
             f"'{run.name}' has {len(measured)} measured values, too few to hold out "
-            f"{fraction:.0%} of them: give a longer run, or another run to judge by"
+            f"{fraction:.0%} of them: give a longer run, or another run for validation"
         )
     early, late = values.copy(), values.copy()
     early[measured[first:]] = late[measured[:first]] = np.nan

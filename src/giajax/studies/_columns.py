@@ -42,7 +42,7 @@ def mistaken_rows(
 
     Another name or unit has to leave far less than the columns as they are, with the same values:
     where physics is missing, a wrong one may leave less, too. Small mistakes are not named for it.
-    Commands are tried with the values that the fit began with: a fit to wrong ones has bent its
+    Commands are tried with the initial values of the fit: a fit to wrong ones has bent its
     model to them, and each takes a simulation.
     """
     asked = mistakes_of(result.model, runs)
@@ -162,7 +162,7 @@ def _row_of(
     )
 
 
-_STILL = 2.0  # times the variance of the noise: what stands still has no more
+_STILL = 2.0  # times the variance of the noise: what does not move has no more
 _JUMP = 20.0  # of chi-square, that two points jump by where they are exchanged from one row on
 _NEARER = 0.25  # of the squares by which they jump: so near they are to where they would be
 _ALWAYS = 0.9  # of what the best rows take: points that are exchanged in all of them take as much
@@ -183,11 +183,11 @@ def points_row(
 ) -> list[Suspect]:
     """The best of recorded points that some rows in turn have exchanged, lost or taken for others.
 
-    Two are exchanged, one shows another, or stands still until the end of its run. The predictions
+    Two are exchanged, one shows another, or does not move until the end of its run. The predictions
     are those where the fit ended; and as a wrong model may have points in the wrong order, or move
     what has come to rest, the recording by itself has to agree: it jumps where points are exchanged
     within a run, has two at one place where one shows the other, and moves another one while one
-    stands still.
+    does not move.
     """
     if any(run.times is None for run in runs):
         return []
@@ -357,7 +357,7 @@ def _lost(cells: Mapping[str, Cells], first: int, end: int) -> dict[str, Way]:
     ways = {}
     for name, gain in gains.items():
         gain = np.where((moves[name] < 1) & (most > _STILL), gain, 0.0)
-        ways[f"points: {name} stands still"] = (
+        ways[f"points: {name} does not move"] = (
             float(np.max(gain)),
             first + int(np.argmax(gain)),
             end,

@@ -34,7 +34,7 @@ def obstacles(results: Sequence[FitResult], names: Sequence[str]) -> list[str]:
             )
     for result, name in zip(results, names, strict=True):
         if result.status != "converged":
-            said.append(f"{name} has not converged: its values are not those of an optimum")
+            said.append(f"{name} has not converged: its values are not at an optimum")
     return said
 
 
@@ -170,8 +170,8 @@ def contrast(results: Sequence[FitResult], names: Sequence[str]) -> Contrast:
     shared = {sha for run in results[0].runs if (sha := run.sha256)}
     if any(shared & {run.sha256 for run in result.runs} for result in results[1:]):
         notes.append(
-            "results of the same recording share its noise, so that a difference between them "
-            "means more than its number says"
+            "results of the same recording share its noise, so a difference between them is more "
+            "significant than the number suggests"
         )
     return Contrast(columns, tuple(_row(path, tables) for path in paths), tuple(notes))
 

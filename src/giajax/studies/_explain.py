@@ -1,4 +1,4 @@
-"""What runs need beyond a model: it grows until its residuals ask for nothing, with a journal."""
+"""What runs need beyond a model: it grows until its residuals suggest nothing, with a journal."""
 
 import dataclasses
 import functools
@@ -99,7 +99,7 @@ class Kept(AbstractFits):
 
     The journal has a line for each thing that was computed, in order; where it holds what is asked
     for next, that is taken. The same steps follow, because each depends on those before alone. One
-    with another head is of something else, and begins anew; `asked` may differ, and is that of the
+    with another head is of something else, and begins again; `asked` may differ, and is that of the
     journal where it is None.
     """
 
@@ -153,7 +153,7 @@ class Kept(AbstractFits):
         """As of `Fits`, or of the journal."""
         if (line := self._next("suspects")) is not None:
             return from_plain(Suspects, line["suspects"])
-        self.say("testing what the fit held or left out ...")
+        self.say("testing fixed and omitted parameters ...")
         found = Fits().suspects(result, runs)
         self._keep({"name": "suspects", "suspects": found})
         return found
@@ -202,7 +202,7 @@ class Kept(AbstractFits):
         return load_result(self.folder / FITS / line["fit"])
 
 
-_REMEDY = "remove it, and explain the data anew"
+_REMEDY = "remove it, and explain the data again"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,7 +227,7 @@ class _Line:
     def __post_init__(self) -> None:
         said = [self.suspects is not None, self.fit is not None, self.refused is not None]
         if sum(said) != 1 or said[0] != (self.name == "suspects"):
-            raise ValueError("is no line of an explanation")
+            raise ValueError("is not a line of an explanation")
         if self.fit is not None and re.fullmatch(r"[0-9]+\.json", self.fit) is None:
             raise ValueError("names no file of its fits")
 
@@ -239,7 +239,7 @@ def _read(path: Path) -> list[dict[str, Any]]:
     except FileNotFoundError:
         return []
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): mend that") from None
+        raise InputError(f"{path} cannot be read ({error.strerror}): make it readable") from None
     try:
         lines = [parse_json(line.decode(), path) for line in data.splitlines()]
     except InputError:
@@ -261,20 +261,20 @@ def explain(
     folder: str | Path | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Explained:
-    """Grow the model of a fit until its residuals ask for nothing that it could have.
+    """Grow the model of a fit until its residuals suggest nothing more that it could have.
 
     Step by step as `giajax.ladder`: parameters that were held or left out are freed, choices of the
     model and of recorded axes are made the other way, and what later steps make superfluous is
     taken out again. Beyond that,
 
     - where outliers are seen, residuals count by Huber's loss from the first step on;
-    - suspects that the data can hardly tell apart are one try, and each of them is fitted;
+    - suspects that the data can hardly distinguish are one try, and each of them is fitted;
     - where a model says that one part is to be believed rather than another (the memory of a joint
       rather than friction by rate), that one is taken if it fits nearly as well;
     - a nuisance that the data move far from what is usual is tried without its prior;
     - without validation or `held_out` the last fifth of each run is kept from all steps, to judge
       them by, where that leaves a part of each to fit. The final model is fitted to all of it, with
-      the noise that the first one looked for, and where that asks for more, steps go on so.
+      the noise that the first one looked for, and where that suggests more, steps go on so.
 
     The errors of the final fit are conditional on its model, which these data selected. What the
     models that fit nearly as well (`NEARNESS`) say otherwise is added as the `selection_error`.
@@ -343,8 +343,10 @@ def explain(
         one = Measured.of(begun, fitted, apart)
         outliers = sum(int(np.sum(found)) for found in outlying(one.at))
         if outliers and result.loss.is_linear:
-            kept.say(f"{outliers} outliers: residuals count by the loss {ROBUST}")
-            begun = kept.refit(f"the first model by {ROBUST}", begun, fitted, loss=ROBUST)
+            kept.say(f"{outliers} outliers: the loss is now {ROBUST}")
+            begun = kept.refit(
+                f"the first model with the loss {ROBUST}", begun, fitted, loss=ROBUST
+            )
             one = Measured.of(begun, fitted, apart)
         climb.take(one)
         # White noise may lead a wrong model astray, to where what is missing acts no more.
@@ -386,13 +388,13 @@ def explain(
                 ended, before.ending = grown, climb.ending
             climb = before
     if not apart:
-        climb.ending += "; nothing could be held out to judge the steps by"
+        climb.ending += "; no data could be held out to validate the steps"
     last = final.result
     record = _record(result, climb, last, ended, outliers)
     if len(record.steps) > 1 or last.loss != result.loss:
         sentence = (
             "the model was selected by these data: standard errors are conditional on it, and "
-            "explain.json adds what models say that fit nearly as well (selection_error)"
+            "explain.json adds the spread over models that fit nearly as well (selection_error)"
         )
         last = dataclasses.replace(last, conditions=(*last.conditions, sentence))
     return Explained(record, last, final.runs)
@@ -414,8 +416,8 @@ def _ended(climb: Climb, grow: Callable[[], Ended]) -> Ended:
 
 
 _STOPPED: dict[Ended, str] = {
-    "interrupted": "interrupted: this is what was reached",
-    "budget": "the budget was used up: this is what was reached",
+    "interrupted": "interrupted: this is the result so far",
+    "budget": "the budget was used up: this is the result so far",
 }
 
 
@@ -473,7 +475,7 @@ class _Told:
             done, name = 0, ALL if len(self.climb.taken) > 1 else "the first model"
         reduced = step.chi_square / max(step.values - step.parameters, 1)
         left = time_in_words(taken * max(self.most - done, 0))
-        more = f"; at most about {left} left, and less where nothing is asked for" if done else ""
+        more = f"; at most about {left} left, and less if no suspect is significant" if done else ""
         self.say(f"{name}: chi-square {step.chi_square:.5g} ({reduced:.3g} a value){more}")
 
 
@@ -592,8 +594,8 @@ def _final(
                 for part, run in zip(climb.runs, seen, strict=True)
             ]
             sentence = (
-                "this is the fit of the last step, with white noise and of what the steps were "
-                "fitted to: the final fit did not come to its end"
+                "this is the fit of the last step, with white noise and without the held-out data: "
+                "the final fit did not finish"
             )
             last = dataclasses.replace(last, conditions=(*last.conditions, sentence))
         last = _judged(last, result, climb.apart, *judges)
@@ -601,12 +603,14 @@ def _final(
     # What was asked already is not asked again where no time is left.
     if stopped != "interrupted" and not (kept.is_late and known is not None):
         try:
-            kept.say("testing what the selected model held or left out ...")
+            kept.say("testing fixed and omitted parameters of the selected model ...")
             return _Final(with_suspects(last, runs), seen, stopped)
         except KeyboardInterrupt:
             stopped = "interrupted"
         except Exception as error:  # A test that fails loses no fit.
-            kept.say(f"what the selected model held or left out could not be tested ({error})")
+            kept.say(
+                f"fixed and omitted parameters of the selected model could not be tested ({error})"
+            )
     if known is not None:
         last = dataclasses.replace(last, suspects=known.rows, verdict=known.judge(last))
     return _Final(last, seen, stopped)
@@ -640,7 +644,7 @@ def _file(run: Run) -> str | None:
 
 
 def _written(runs: Sequence[Run], folder: Path) -> list[Run]:
-    """The runs, each read from a file of its own in a folder that nobody else writes to."""
+    """The runs, each read from a file of its own in a folder that no other process writes to."""
     make_folder(folder)
     read = []
     for run, name in zip(runs, unique_names(runs), strict=True):

@@ -59,7 +59,7 @@ class LeftOut:
         """The largest shift over that to expect; None where nothing is to be expected.
 
         Of a right model, a part moves an estimate by a random amount, whose variance is that
-        without the part less that with it (Hausman 1978): beyond 3 it is no chance.
+        without the part less that with it (Hausman 1978): beyond 3 it is not by chance.
         """
         ratios = []
         for path, shift in self.shifts.items():
@@ -71,9 +71,12 @@ class LeftOut:
 
 @dataclasses.dataclass(frozen=True)
 class Influence(
-    StudyRecord, file="influence.json", head={"schema_version": 1}, remedy="ask for it again"
+    StudyRecord,
+    file="influence.json",
+    head={"schema_version": 1},
+    remedy="run giajax influence again",
 ):
-    """What each part of the data does to the parameters of a fit.
+    """Influence of each part of the data on the parameters of a fit.
 
     Attributes:
         parameters: standard error of each that the data determine, SI.
@@ -210,7 +213,7 @@ def influence(
 
     with the derivatives X and residuals r (predicted less recorded) of the cells that are left, and
     V the covariance of their noise: of correlated noise it is not a part of the inverse of the
-    whole, and so it is inverted anew. That is exact for a linear model. Of a robust loss, psi
+    whole, and so it is inverted again. That is exact for a linear model. Of a robust loss, psi
     and psi' stand for residual and derivative. Noise, and weights of outliers, stay as they are.
 
     Single runs are left out by fits, if there are several; all other parts by steps alone, unless
@@ -322,10 +325,13 @@ def _own(optimum: Optimum, part: Part) -> set[int]:
 
 
 def _notes(optimum: Optimum, *, exact: bool) -> tuple[str, ...]:
-    notes = ["the noise, and weights of outliers, are held as they were fitted"]
+    notes = ["the noise and the weights of outliers are fixed at their fitted values"]
     if not exact:
-        notes.append("all but single runs are left out to first order: exact=True (--exact) fits")
+        notes.append(
+            "parts other than single runs are left out to first order: exact=True (--exact) "
+            "fits without them"
+        )
     known = optimum.statistics
     if held := [known.labels[place] for place in known.bounds]:
-        notes.append(f"at a bound, where a step to first order holds it: {', '.join(held)}")
+        notes.append(f"at a bound, and fixed there in a first-order step: {', '.join(held)}")
     return tuple(notes)

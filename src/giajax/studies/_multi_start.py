@@ -108,7 +108,7 @@ def _is_same(result: FitResult, one: Start, other: Start) -> bool:
 
 
 STARTS = 8
-"""Starts of `multi_start`, where nobody says how many."""
+"""Starts of `multi_start`, by default."""
 
 
 @keywords_listed(FIT_DEFAULTS | {"starts": STARTS})
@@ -245,7 +245,7 @@ def solve_from_starts(
     if budget is not None and late and budget.ended_it not in best.message:
         message = f"{best.message}; {budget.ended_it} after {len(ends)} of {starts} starts"
         best = dataclasses.replace(best, status="not_converged", message=message, reason="budget")
-    # Of a result that was loaded, the predictions are missing, and the verdict on what is held out.
+    # Of a result that was loaded, the predictions are missing, and the verdict on held-out data.
     bare = best is before or (executor is not None and not best.predictions)
     if (check or bare) and best.status == "converged":
         last = None if journal is None else journal(starts + 1)

@@ -210,8 +210,8 @@ def posterior(
     doubled = [label for label in optimum.labels if optimum.labels.count(label) > 1]
     if doubled:
         raise InputError(
-            f"two runs have one name, and {doubled[0]} in each, so that nothing can be said of one "
-            "of them: rename one"
+            f"two runs have one name, and {doubled[0]} in each, so results of one of them would be "
+            "ambiguous: rename one"
         )
     density = density_of(optimum)
     if not density.places:

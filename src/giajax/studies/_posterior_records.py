@@ -122,7 +122,8 @@ def as_arviz(
                 package = importlib.import_module("arviz")
         except ImportError:
             raise InputError(
-                f"ArviZ is not installed, which takes the draws: {install_command('posterior')}"
+                "ArviZ is required for the draws, and is not installed: "
+                f"{install_command('posterior')}"
             ) from None
     groups = {"posterior": dict(posterior), "sample_stats": dict(statistics)}
     if package.__name__ == "arviz" and package.__version__.startswith("0."):
@@ -226,28 +227,28 @@ def doubts(
     if stuck := [label for label in marginals if label not in known]:
         sentences.append(
             f"the chains are stuck: the draws of {' and '.join(stuck)} in a chain are all equal; "
-            "take a longer warm-up, and if that does not help give priors or bounds that keep away "
-            "from where the model fails"
+            "take a longer warm-up, and if that does not help give priors or bounds that exclude "
+            "values where the model fails"
         )
     hats = {label: one.r_hat or 0.0 for label, one in known.items()}
     worst = max(hats, key=lambda label: hats[label], default="")
     if worst and hats[worst] > MOST_R_HAT:
         sentences.append(
-            f"the chains have not found together: R-hat of {worst} is {hats[worst]:.3f}, above "
+            f"the chains have not converged: R-hat of {worst} is {hats[worst]:.3f}, above "
             f"{MOST_R_HAT:g}; take more draws and a longer warm-up"
         )
     sizes = {name: min(one.ess_bulk or 0.0, one.ess_tail or 0.0) for name, one in known.items()}
     least = min(sizes, key=lambda label: sizes[label], default="")
     if least and sizes[least] < LEAST_ESS:
         sentences.append(
-            f"the draws of {least} are worth {sizes[least]:.0f} independent ones, and the ends of "
-            f"an interval take {LEAST_ESS}: take more draws"
+            f"the draws of {least} are worth {sizes[least]:.0f} independent ones, but an interval "
+            f"needs {LEAST_ESS}: take more draws"
         )
     if divergences:
         sentences.append(
             f"{divergences} of {chains * samples.shape[1]} draws diverged, so a part of "
             "the posterior may be missing: free fewer parameters, or give priors or bounds that "
-            "keep away from where the model fails"
+            "exclude values where the model fails"
         )
     return sentences
 

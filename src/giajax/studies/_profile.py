@@ -269,7 +269,7 @@ def profile(
         known: profiles of this fit and level, which are not made again; those asked for are
             returned with the new ones.
         how: who does the sides, each a task, as of `giajax.runtime.execution.Execution`; after
-            Ctrl-C, those that were not done are "stopped".
+            Ctrl-C, those that were not completed are "stopped".
 
     Raises:
         InputError: a path that was not free, no level, no converged fit, or other runs than its.

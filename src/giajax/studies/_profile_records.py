@@ -126,8 +126,8 @@ def load_profiles(path: str | Path) -> Profiles:
     except FileNotFoundError:
         raise InputError(f"{path} does not exist: make it with giajax profile") from None
     except OSError as error:
-        raise InputError(f"{what} ({error.strerror}): make it anew") from None
-    return parse_record(Profiles, text, Profiles.head, what, "make it anew")
+        raise InputError(f"{what} ({error.strerror}): run giajax profile again") from None
+    return parse_record(Profiles, text, Profiles.head, what, "run giajax profile again")
 
 
 LOWER = 0.01  # a deviance this far below that of the fit is no rounding
@@ -182,7 +182,7 @@ def remarks_on(
         elif interval[place] is None and ended[place] == "level":
             said.append(f"its {word} end was not found: fit again from the lowest cost")
     if ended == ("bound", "bound"):
-        said.append("the data say nothing within its bounds")
+        said.append("the data do not limit it within its bounds")
     low = -np.inf if interval[0] is None else interval[0]
     high = np.inf if interval[1] is None else interval[1]
     inside = [point for point in points if low <= point.value <= high]
@@ -192,7 +192,7 @@ def remarks_on(
     for point in sorted(inside, key=lambda point: abs(point.value - value)):
         met = dict.fromkeys(set(point.at_bounds) - at_optimum, point.value) | met
         left = dict.fromkeys(at_optimum - set(point.at_bounds), point.value) | left
-    said += [f"{name} meets its bound at {met[name]:.5g}" for name in sorted(met)]
+    said += [f"{name} reaches its bound at {met[name]:.5g}" for name in sorted(met)]
     said += [f"{name} leaves its bound at {left[name]:.5g}" for name in sorted(left)]
     return tuple(said)
 
@@ -204,7 +204,7 @@ def _of_side(ended: Ending, reason: str, word: str) -> str | None:
     }.get(reason, reason if " " in reason else "a fit did not end at an optimum")
     sentences = {
         "bound": f"one-sided: its {word} end is its bound",
-        "flat": f"the data give it no {word} end{f': {reason}' if reason else ''}",
+        "flat": f"the data give no {word} limit{f': {reason}' if reason else ''}",
         "failed": f"its {word} end was not reached: {why}",
         "unfinished": f"its {word} end was not reached: the deviance rises too slowly",
         "stopped": f"its {word} side was stopped",

@@ -73,7 +73,7 @@ def _begun_as(result: FitResult, run: Run, record: RunFit) -> Run:
 
 
 def optimum_of(result: FitResult, runs: Sequence[Run]) -> Optimum:
-    """Where a fit of runs, in their order, ended: to be asked again without compiling anew."""
+    """Where a fit of runs, in their order, ended: to be asked again without compiling again."""
     settings, model = FitSettings.shared_with(result.config), result.model
     values = end_values(result)
     start = {
@@ -216,7 +216,8 @@ class Fitted:
         """A result, which must have `converged` or not, and its runs, in their order."""
         if converged and result.status != "converged":
             raise InputError(
-                "the fit did not converge, and there is no optimum: fit it to its end first"
+                "the fit did not converge, so there is no optimum: continue the fit until it "
+                "converges"
             )
         bare = dataclasses.replace(
             result, predictions=(), held_predictions=(), seconds=Seconds(0.0, 0.0)
@@ -245,7 +246,7 @@ class Fitted:
         return run_tasks(tasks, **how)
 
     def optimum(self) -> Optimum:
-        """Where the fit ended, evaluated once a process, however many tasks ask for it."""
+        """Where the fit ended, evaluated once a process, however many tasks request it."""
         return prepared(("optimum", self.task_key), lambda: optimum_of(self.result, self.runs))
 
 
@@ -321,7 +322,7 @@ class StudyRecord:
     @classmethod
     def of_json(cls, text: str | bytes) -> Self:
         """The record that a text of `to_json` holds."""
-        what = f"this is no {cls.file} of this version of giajax"
+        what = f"this is not a file {cls.file} of this version of giajax"
         return parse_record(cls, text, cls.head, what, cls.remedy)
 
 

@@ -635,9 +635,9 @@ def among_memory(
 ) -> float:
     """The p-value of some columns together, where noise with a memory may explain them as well.
 
-    The noise of each channel is estimated anew by restricted likelihood, white or correlated, with
-    the columns among what the fit could move: what a memory explains better is none of theirs.
-    Wald's test of generalised least squares has the degrees of freedom of that noise.
+    The noise of each channel is estimated again by restricted likelihood, white or correlated, with
+    the columns among what the fit could move: what a memory explains better does not belong to
+    them. Wald's test of generalised least squares has the degrees of freedom of that noise.
 
     Arguments:
         columns: of each run, shape (sample, channel, column).

@@ -327,7 +327,7 @@ def earlier_starts(
     asked = {**dict.fromkeys(_LIMITS), **asked}
     if any((before.config.get(key) or None) != (value or None) for key, value in asked.items()):
         raise InputError(
-            "the result to add starts to is of another fit: give the same runs and settings"
+            "the result to add starts to belongs to another fit: give the same runs and settings"
         )
     known = before.starts or [end_of(values[0], before)]
     ends = ("converged", "failed")
@@ -337,10 +337,10 @@ def earlier_starts(
             list(start.start.values()), [wanted[path] for path in start.start], rtol=1e-9, atol=0
         ):
             raise InputError(
-                "the result to add starts to began elsewhere: give its seed and spread"
+                "the result to add starts to has other initial guesses: give its seed and spread"
             )
     if len(whole) > len(values):
         raise InputError(
-            f"the result to add starts to has {len(whole)} of them already: ask for more"
+            f"the result to add starts to has {len(whole)} of them already: give a larger number"
         )
     return whole

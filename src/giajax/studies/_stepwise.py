@@ -1,4 +1,4 @@
-"""Stepwise selection: what the residuals ask for is fitted in turn, from where the last ended."""
+"""Stepwise selection: what the residuals suggest is fitted in turn, from where the last ended."""
 
 import abc
 import contextlib
@@ -32,7 +32,7 @@ class Step:
 
     Attributes:
         suspect: what was added to the fit before; None for the first.
-        removed: whether it was taken out again: with what came later, nothing asks for it.
+        removed: whether it was taken out again: with what came later, it is not significant.
         chi_square: sum of what the loss makes of residuals in units of white noise, the same for
             all steps, and of the squares of the priors.
         parameters: number of fitted parameters.
@@ -40,7 +40,7 @@ class Step:
         held_out: root mean square error of the runs that were held out, in units of their noise
             or, where none is stated, of the white noise of the fitted ones; None without any.
         result: the fit.
-        suspects: what its residuals ask for; None where that was not asked.
+        suspects: what its residuals suggest; None where that was not asked.
     """
 
     suspect: Suspect | None
@@ -193,7 +193,7 @@ class AbstractFits(abc.ABC):
 
     @abc.abstractmethod
     def suspects(self, result: FitResult, runs: Sequence[Run]) -> Suspects:
-        """What the residuals of a fit ask for."""
+        """What the residuals of a fit suggest."""
 
     @abc.abstractmethod
     def refits(
@@ -357,7 +357,7 @@ def is_one(model: AbstractModel, suspect: Suspect) -> bool:
 def _freeing(
     result: FitResult, runs: Sequence[Run], apart: Sequence[Run], suspect: Suspect
 ) -> Change:
-    """The change of a fit that a suspect asks for."""
+    """The change of a fit that a suspect suggests."""
 
     def change(**changed: Any) -> Change:
         return Change(suspect.path, runs, changed, apart)
@@ -439,8 +439,8 @@ def ladder(
     What was freed before and has come back to the value that it was held at is held again, and of a
     drive that was freed alone it is asked whether all are as that one. It ends
     where no suspect is significant, or where what is tried makes BIC larger. A suspect that is one
-    number for many elements (the mass of all links) is no single parameter of a fit, and is passed
-    over.
+    number for many elements (the mass of all links) is not a single parameter of a fit, and is
+    passed over.
 
     What a test promises is the first step of a fit. So many of the first suspects as `tries` says
     are fitted at each step, each by itself, and the one whose fit has the lowest BIC is taken; with
@@ -484,7 +484,7 @@ def ladder(
 class Climb:
     """A selection under way: the runs as its last fit sees them, and what was fitted so far.
 
-    Each of the fits that were `taken` has beside it what its residuals ask for, once that is
+    Each of the fits that were `taken` has beside it what its residuals suggest, once that is
     `asked`; `passed` are those that were tried and not taken.
     """
 
@@ -537,7 +537,7 @@ class Climb:
                 break
         self.passed += [fit for fit, _, _ in made if not (lower and fit is one[0])]
         if not lower:
-            self.ending = f"{one[0].step(noise).change} was tried, and makes BIC larger"
+            self.ending = f"{one[0].step(noise).change} was tried, and increases BIC"
             return True
         _, self.runs, self.apart = one
         self.take(one[0])

@@ -136,9 +136,9 @@ class Suspects:
             if self.left_over < _EXPLAINED or self.left_over**2 - 1 < _SECOND_ORDER * before:
                 return verdict
             sentence = (
-                "none of what can be freed explains it: with the best suspects in, the residuals "
-                f"would still be {self.left_over:.3g} times the white noise (left_over.png shows "
-                "in what they are)"
+                "no fixed or omitted parameter explains it: with the best suspects the residuals "
+                "are "
+                f"still {self.left_over:.3g} times the white noise (see left_over.png)"
             )
             # The last one, however sure it is.
             reason = Reason(UNEXPLAINED, sentence, 0.0, self.left_over)
@@ -161,9 +161,10 @@ def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
     """What was held or left out, how large it is, what that moves, and what to do."""
     if row.kind == "switch":
         return (
-            f"the data prefer '{row.path}' by {row.chi_square_drop:.3g} of chi-square, which moves "
-            f"{path} by {by:+.2g} of its standard errors: make that choice (giajax suspects tells "
-            "all of them)"
+            f"the data prefer '{row.path}' by {row.chi_square_drop:.3g} in chi-square, which "
+            f"changes {path} "
+            f"by {by:+.2g} of its standard errors: use that choice (giajax suspects lists all of "
+            "them)"
         )
     values, errors = (
         np.atleast_1d(np.array(row.estimate)),
@@ -173,14 +174,14 @@ def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
     shown = ", ".join(f"{value} +- {error}" for value, error in pairs)
     unit = f" {row.unit}" if row.unit else ""
     others = ", ".join(dict.fromkeys([*row.alike, *row.together]))
-    also = f" (or {others}, which the data can hardly tell from it)" if others else ""
+    also = f" (or {others}, which the data can hardly distinguish from it)" if others else ""
     plain = isinstance(row.value, float) and row.kind != "factor"
-    held = f"held at {row.value:.4g}{unit}" if plain else "held"
+    held = f"fixed at {row.value:.4g}{unit}" if plain else "held"
     times = "its value times " if row.kind == "factor" else ""
     free = " ".join(f"--free {each}" for each in [*result.asked, row.path])
     return (
-        f"{row.path}{also} is {held}, and the residuals ask for {times}{shown}{unit}, which moves "
-        f"{path} by {by:+.2g} of its standard errors: fit it, too, by {free}"
+        f"{row.path}{also} is {held}, and the residuals suggest {times}{shown}{unit}, which moves "
+        f"{path} by {by:+.2g} of its standard errors: also fit it, by {free}"
     )
 
 
@@ -219,7 +220,7 @@ def parameter_rows(
     for path, indices in members.items():
         among = [candidates[index] for index in indices]
         if path in scattering:
-            note = "how much its elements scatter, as a standard deviation"
+            note = "standard deviation among its elements"
             rows.append(_amount_row(path, "scatter", scatter(rest, indices), note))
             continue
         found = score(
@@ -245,9 +246,9 @@ def _row(path: str, among: Sequence[Candidate], found: Score, others: tuple[str,
     error = found.error.tolist()
     group, note = len(among) > 1, ""
     if not group and not among[0].lower < value[0] < among[0].upper:
-        note = "held at its bound: tested towards the inside"
+        note = "fixed at its bound: tested towards the inside"
         if found.drop == 0:
-            note += ", and the data lead outwards"
+            note += ", and the data suggest a value beyond the bound"
     return Suspect(
         path=path,
         kind="group" if group else among[0].kind,
@@ -289,9 +290,9 @@ def _why_not(rest: Projected, index: int, one: Candidate) -> str:
     if norm * one.size < 1e-6:
         return "no channel responds to it"
     if left < IMITATED * norm:
-        return "what was fitted imitates it: only a ratio shows"
+        return "the fitted parameters have the same effect: only a ratio is identifiable"
     if left * one.size * _NOT_SHOWN < 1:
-        return f"the data would not show a change by {_NOT_SHOWN:g} times its size"
+        return f"the data are insensitive even to a change by {_NOT_SHOWN:g} times its size"
     return ""
 
 
@@ -304,7 +305,11 @@ def _untestable(
 def switch_row(rest: Projected, index: int, name: str) -> Suspect:
     norm, left = float(rest.norms[index]), float(rest.perpendicular[index])
     if norm < 1 or left < max(1.0, IMITATED * norm):
-        note = "what was fitted imitates it" if norm >= 1 else "it changes no prediction"
+        note = (
+            "the fitted parameters have the same effect"
+            if norm >= 1
+            else "it changes no prediction"
+        )
         return _untestable(name, "switch", note, value=0.0)
     return _amount_row(name, "switch", score(rest, [index], [0.0], [1.0]))
 
@@ -364,7 +369,7 @@ def suspects(
     each: Sequence[str] = (),
     parameters_alone: bool = False,
 ) -> Suspects:
-    """What the residuals of a fit ask for.
+    """What the residuals of a fit suggest.
 
     At the end of a fit everything that it held, switched off or left out gets a test: how much
     chi-square would fall if it were free, and to which value one step leads. Nothing is fitted.
@@ -386,7 +391,7 @@ def suspects(
     of what it leaves, all of it is asked where the fit began, too, and the rows are those of where
     chance explains the surest one less (`Suspect.begun`).
 
-    Missing physics is no noise, so the table is in the order of the drop of chi-square (less what
+    Missing physics is not noise, so the table is in the order of the drop of chi-square (less what
     as many random columns would take from residuals of this size), with the white noise that the
     runs state, or else that of second differences of the residuals. The p-values are those of the
     noise that is left after the step, which may be larger and correlated along time (AR(1) in the

@@ -62,14 +62,11 @@ def stated_doubts(
         fitted = [part.path for part in parts if part.path in free]
         if fitted:
             raise InputError(
-                f"{fitted[0]} is fitted, and its uncertainty is what the fit finds: hold it, or "
-                "leave its uncertainty out"
+                f"{fitted[0]} is fitted, so the fit estimates its uncertainty: fix it, or leave "
+                "its uncertainty out"
             )
         if asked.following.issuperset(part.path for part in parts):
-            raise InputError(
-                f"{path} is tied to others, and as uncertain as they are: state how uncertain "
-                "those are"
-            )
+            raise InputError(f"{path} is tied to other parameters: state the uncertainty of those")
         name = path.partition("[")[0]
         whole = np.asarray(get(model, name), dtype=float)
         each = np.broadcast_to(numbers, (len(parts),))
@@ -160,7 +157,7 @@ def deciding_conditions(errors: Sequence[SystematicError]) -> list[str]:
         change = f"{error.uncertainty:.3g} {error.unit}".rstrip() if error.stated else "1 %"
         if error.decides:
             sentences.append(
-                f"{error.path}{_DECIDES}, because a change of it by {change} moves "
+                f"{error.path}{_DECIDES}, because a change of it by {change} changes "
                 f"{_named(error.decides)} by more than a standard error"
             )
     return sentences

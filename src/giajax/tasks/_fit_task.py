@@ -99,7 +99,7 @@ def with_warm_start(
     watch: "Watch | None" = None,
     told: "Callable[[FitResult], object] | None" = None,
 ) -> "FitTask":
-    """The task with the start that `windows_first_s` of its `[fit]` asks for.
+    """The task with the start that `windows_first_s` of its `[fit]` requests.
 
     Parameters begin where the fit of the windows ends, and states of runs with those of their
     first windows. What is held out of the runs is held out of the windows, too. A task that asks
@@ -172,7 +172,7 @@ class FitTask:
         """The task of a fit definition in TOML; the files that it names are relative to it.
 
         Raises:
-            InputError: the file is missing, is no TOML, or has a key or a value that it may not.
+            InputError: the file is missing, is not TOML, or has a key or a value that it may not.
         """
         path = Path(path)
         definition = Definition.load(path)
@@ -295,7 +295,7 @@ class FitTask:
         The `setup` of what it returns has the model and the free parameters.
 
         Raises:
-            InputError: no data, files that are no runs, or as `giajax.fit`.
+            InputError: no data, files that are not runs, or as `giajax.fit`.
         """
         if not self.data:
             raise InputError("the task has no data: give at least one run")
@@ -331,7 +331,7 @@ class FitTask:
             announce: with several starts, called before each with its number and values.
             check: compute the gradient check and the effect of the solver tolerance at the end.
             journal: a folder for a journal, `journal.jsonl`, which has every step. Where it has
-                one of this fit already, the fit goes on from there, and one that has ended gives
+                one of this fit already, the fit continues from there, and one that has ended gives
                 its result again.
 
         Returns:

@@ -56,9 +56,9 @@ def _checksum(path: Path, needed: bool) -> str | None:
     try:
         return hashlib.sha256(read_bytes(path, RUN_BYTES)).hexdigest()
     except FileNotFoundError:
-        raise InputError(f"{path} does not exist any more: put it back") from None
+        raise InputError(f"{path} does not exist any more: restore it") from None
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): mend that") from None
+        raise InputError(f"{path} cannot be read ({error.strerror}): make it readable") from None
 
 
 def moved_to(path: str | Path, digits: str, folder: Path | None) -> Path | None:
@@ -88,13 +88,13 @@ def _places(record: Mapping[str, Any], folder: Path) -> Callable[[str], Path]:
     if not there:
         missing = next(name for name in names if not (bases[0] / name).exists())
         raise InputError(
-            f"{missing}, which {folder} was fitted to, is not there: run this where it is, or put "
-            "it back"
+            f"{missing}, which {folder} was fitted to, does not exist: run this where it is, or "
+            "restore it"
         )
     # Another file of the same name may be here.
     complaints = [_change(record, base) for base in there]
     if None not in complaints:
-        raise InputError(f"{complaints[0]} since the fit began: put it back as it was, or fit anew")
+        raise InputError(f"{complaints[0]} since the fit began: restore it, or fit again")
     base = there[complaints.index(None)]
     return lambda name: base / name
 
@@ -156,7 +156,7 @@ def check_again(now: Mapping[str, Any], before: Mapping[str, Any], folder: Path)
     if names := [name for name in differences(now, before) if name not in by_other_names]:
         raise InputError(
             f"the fit in {folder} has other settings (it differs in {', '.join(names)}): leave "
-            "them out to go on with it, or fit anew into another folder"
+            "them out to continue it, or fit again into another folder"
         )
 
 
@@ -175,7 +175,7 @@ def version_note(versions: Mapping[str, str]) -> str:
             now = "none"
         if now != before:
             changed.append(f"{name} {before} then, {now} now")
-    shown = f"other versions compute here ({'; '.join(changed)}): the last digits may differ"
+    shown = f"other versions are installed ({'; '.join(changed)}): the last digits may differ"
     return shown if changed else ""
 
 
@@ -197,7 +197,7 @@ def locked(folder: Path) -> Iterator[None]:
     """Hold a folder, which is made where it is missing and removed again where it stays empty.
 
     The system gives the lock back when the process ends, however it does; the file that a killed
-    process leaves is no lock, and is taken over.
+    process leaves is not a lock, and is taken over.
     """
     check_output_folder(folder)
     made = [path for path in (folder, *folder.parents) if not path.exists()]
@@ -317,8 +317,8 @@ class Journal:
                 self._write()
             except OSError as error:
                 self.warn(
-                    f"{self.path} cannot be written ({error.strerror}): the fit goes on, and "
-                    "cannot be resumed unless that is mended"
+                    f"{self.path} cannot be written ({error.strerror}): the fit continues, but "
+                    "cannot be resumed unless this is corrected"
                 )
 
     def settle(self, result: "FitResult") -> None:
@@ -380,8 +380,8 @@ class Part:
     def bits_differ(self) -> None:
         """Say that this machine computes other bits."""
         self.journal.warn(
-            "this machine or its libraries compute other last digits than those of the journal: "
-            "the fit goes on, and may end in other last digits, too"
+            "this machine or its libraries give other last digits than the journal: the fit "
+            "continues, and its last digits may differ"
         )
 
 
@@ -393,7 +393,7 @@ def read_journal(folder: Path, complain: Callable[[str], None] = lambda _: None)
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): mend that") from None
+        raise InputError(f"{path} cannot be read ({error.strerror}): make it readable") from None
     lines, size = [], 0
     whole = data.split(b"\n")[:-1]
     for number, text in enumerate(whole, 1):
@@ -434,8 +434,8 @@ class _State:
 
 def _parsed(text: bytes, number: int, path: Path) -> Line:
     """A line, checked to have what this file needs of it."""
-    what = f"{path} is damaged in line {number}, or is no journal of giajax"
-    remedy = "remove it, and fit anew"
+    what = f"{path} is damaged in line {number}, or is not a journal of giajax"
+    remedy = "remove it, and fit again"
     try:
         line = json.loads(text)
         check_unicode(line, text.decode())
@@ -444,7 +444,8 @@ def _parsed(text: bytes, number: int, path: Path) -> Line:
     known = line if isinstance(line, dict) else {}
     if number == 1 and known.get("giajax_journal", _FORMAT) != _FORMAT:
         raise InputError(
-            f"{path} was written by another version of giajax: go on with that one, or fit anew"
+            f"{path} was written by another version of giajax: continue with that version, or fit "
+            "again"
         )
     if number == 1 or not known.get("written"):
         from_plain(_Head if number == 1 else _State, line, what, remedy)

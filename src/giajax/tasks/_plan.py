@@ -64,7 +64,7 @@ def columns_of(section: Mapping[str, Any], where: str) -> dict[str, Any]:
     for name, value in section.items():
         if name not in known:
             if name == "uncertainty":
-                raise InputError(f"{where}: {name} does nothing in a sweep: leave it out")
+                raise InputError(f"{where}: {name} has no effect in a sweep: leave it out")
             raise InputError(
                 f"{where}: unknown key {shown(name)}: give one of [fit], such as fix, start, loss "
                 "or data"
@@ -115,7 +115,7 @@ def _listed(value: Any, where: str) -> list[Any]:
         raise InputError(f"{where} must go from a number to a number in a count: correct it")
     logarithmic = value.get("log", False)
     if logarithmic and not min(low, high) > 0:
-        raise InputError(f"{where} is logarithmic, and must go from and to what is positive")
+        raise InputError(f"{where} is logarithmic, so both ends must be positive")
     # Whole numbers stay whole where every one is: some keys take no other.
     steps = max(count - 1, 1)
     if type(low) is type(high) is int and not logarithmic and (high - low) % steps == 0:
@@ -123,7 +123,7 @@ def _listed(value: Any, where: str) -> list[Any]:
     with np.errstate(all="ignore"):
         spaced = (np.geomspace if logarithmic else np.linspace)(float(low), float(high), count)
     if not np.all(np.isfinite(spaced)):
-        raise InputError(f"{where} goes too far to be divided: give nearer ends")
+        raise InputError(f"{where} is too wide a range: give closer ends")
     return [float(number) for number in spaced]
 
 
@@ -139,7 +139,7 @@ def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
             "seed, method, start, fix)"
         )
     if type(count) is not int or count < 1:
-        raise InputError(f"{where}: count must be how many there are to draw: give 64, say")
+        raise InputError(f"{where}: count must be the number of draws: give 64, for example")
     check_count(count, where)
     if type(seed) is not int or seed < 0:
         raise InputError(f"{where}: seed must be zero or a positive whole number: correct it")
@@ -206,7 +206,7 @@ def cases_of(data: Mapping[str, Any], source: str) -> list[Case]:
         twice = {name for case in one for name in case} & {name for case in other for name in case}
         if twice:
             raise InputError(
-                f"{source} has {min(twice)} in two of grid, list and sample: leave it in one"
+                f"{source} has {min(twice)} in two of grid, list and sample: keep it in one"
             )
     check_count(len(listed) * len(drawn) * len(combined), source)
     return [{**row, **draw, **case} for row in listed for draw in drawn for case in combined]

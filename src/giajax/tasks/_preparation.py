@@ -44,7 +44,7 @@ from ._stored import check_config
 
 
 def warn(sentence: str) -> None:
-    """What becomes of complaints where nobody says otherwise: warnings of Python."""
+    """What becomes of complaints by default: warnings of Python."""
     warnings.warn(sentence, stacklevel=2)
 
 
@@ -69,7 +69,7 @@ class Preparation:
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """The runs to fit, or their windows, without what is held out."""
+        """The runs to fit, or their windows, without the held-out data."""
         return self.setup.runs
 
     @property
@@ -99,7 +99,7 @@ class Preparation:
     ) -> Iterator[Journal]:
         """The journal of this fit in a folder, which no other fit may write to meanwhile.
 
-        To resume goes on where it ends; force begins anew over that of a fit that was cut off. A
+        To resume goes on where it ends; force begins again over that of a fit that was cut off. A
         sentence is complained where a line cannot be written.
 
         Raises:
@@ -108,7 +108,7 @@ class Preparation:
         """
         if self.setup.settings.optimiser is not None:
             raise InputError(
-                f"a fit by {self.setup.config['optimiser']} has no steps to keep, and is not "
+                f"a fit by {self.setup.config['optimiser']} has no steps to record, and cannot be "
                 "resumed: leave out the journal, or the optimiser"
             )
         with locked(folder):
@@ -116,7 +116,7 @@ class Preparation:
             if resume:
                 if journal is None:
                     raise InputError(
-                        f"{folder} has no journal of a fit: fit without resuming to begin one"
+                        f"{folder} has no journal of a fit: start a fit without resuming"
                     )
                 said = f"{self.setup.model.kind} {journal.head['config']}"
                 check_sources(journal.head["versions"], said)
@@ -125,9 +125,9 @@ class Preparation:
             else:
                 if journal is not None and not journal.is_written:
                     raise InputError(
-                        f"{folder} holds the journal of a fit that was cut off: go on with giajax "
+                        f"{folder} holds the journal of an interrupted fit: continue with giajax "
                         f"fit --resume {shlex.quote(str(folder))}, give another folder, or --force "
-                        "to begin anew"
+                        "to start again"
                     )
                 head = {"task": dict(self.record), "config": dict(self.setup.config)}
                 made_by = {**versions(), **sources_of((self.setup.model, self.setup.loss))}
@@ -208,13 +208,13 @@ class Preparation:
             judged = result.verdict.status != "not evaluated"
             if suspects and judged and result.status != "interrupted":
                 if announce is not None:
-                    announce("testing what the fit held or left out ...")
+                    announce("testing fixed and omitted parameters ...")
                 adequate = result.verdict.status == "adequate"
                 result = with_suspects(result, self.runs, parameters_alone=adequate)
         except KeyboardInterrupt:
-            complain("interrupted before what the fit held or left out was tested")
+            complain("interrupted before fixed and omitted parameters were tested")
         except Exception as error:  # A test that fails loses no fit.
-            complain(f"what the fit held or left out could not be tested ({error})")
+            complain(f"fixed and omitted parameters could not be tested ({error})")
         return result
 
 

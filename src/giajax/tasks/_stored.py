@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ..fitting import FitResult, HeldOut, RunFit
 
 # What makes two fits the same; what ended one early is none of it.
-_WORDS = {"definition": "the model's constants", "runs": "what the sidecars state"}
+_WORDS = {"definition": "the constants of the model", "runs": "what the sidecars state"}
 
 
 def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
@@ -35,21 +35,21 @@ def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
     folder, record = stored_result(path)
     if optimiser := record["config"].get("optimiser"):
         raise InputError(
-            f"{folder / 'result.json'} was fitted by {optimiser}, which no file states: fit it "
-            "again from Python"
+            f"{folder / 'result.json'} was fitted by {optimiser}, which cannot be stated in a "
+            "file: fit it again from Python"
         )
     if not record.get("task"):
         raise InputError(
-            f"{folder / 'result.json'} does not say how to fit it again, because an earlier "
-            "version wrote it, it is the end of several fits, or it was fitted from Python without "
-            "a task: fit its data anew, or begin from there with --from"
+            f"{folder / 'result.json'} does not state how to fit it again, because an earlier "
+            "version wrote it, it combines several fits, or it was fitted from Python without a "
+            "task: fit its data again, or use it as a warm start with --from"
         )
     timed = record["status"] == "not_converged" and "budget_s" in record["config"]
     if record["status"] == "interrupted" or timed:
         raise InputError(
-            f"{folder / 'result.json'} is of a fit that was stopped when its time was up, which no "
-            f"fit meets again: go on with giajax fit --resume {shlex.quote(str(folder))}, or begin "
-            "from there with --from"
+            f"{folder / 'result.json'} is from a fit that was stopped, which cannot be "
+            f"reproduced: continue with giajax fit --resume {shlex.quote(str(folder))}, or use it "
+            "as a warm start with --from"
         )
     return folder, record
 
@@ -62,7 +62,7 @@ def check_config(before: Mapping[str, Any], now: Mapping[str, Any], where: Path)
     if differing:
         raise InputError(
             f"this version of giajax resolves the settings of {where} differently (in "
-            f"{', '.join(differing)}): go on with the version that wrote it, or fit anew"
+            f"{', '.join(differing)}): continue with the version that wrote it, or fit again"
         )
 
 
@@ -92,20 +92,20 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
     for key, what in (("runs", "runs fitted"), ("held_out", "runs with a part held out")):
         ours, theirs = now[key], before.get(key, [])
         if len(ours) != len(theirs):
-            return f"it is not the same fit: {len(ours)} {what} now, and {len(theirs)} before"
+            return f"the fits differ: {len(ours)} {what} now, and {len(theirs)} before"
         for one, other in zip(ours, theirs, strict=True):
             # Their files may be elsewhere now.
             same = same and one["channels"] == other["channels"]
             same = same and one.get("parameters", {}) == other.get("parameters", {})
     if same:
-        return "the numbers are the same, bit for bit"
+        return "all numbers are identical, bit for bit"
     moved = []
     for path, estimate in now["parameters"].items():
         value, other = estimate["value"], before["parameters"].get(path, {}).get("value")
         if estimate["free"] and value != other and other:
             moved.append((abs(value / other - 1), path))
     if not moved:
-        return "the estimates are the same bit for bit, and what follows from them is not"
+        return "the estimates are identical bit for bit, but quantities derived from them differ"
     by, path = max(moved)
     return f"the numbers are not the same: {path} differs by {by:.1e} of its value"
 
@@ -198,8 +198,7 @@ def _read_again(
     several = result.config.get(key, [])
     if len(records) != len(several):
         raise InputError(
-            "the result does not say of all its runs what was fitted: fit the data anew to ask "
-            "about it"
+            "the result does not state the fitted data of all its runs: fit the data again"
         )
     read: dict[tuple[str, str], Run] = {}
     renamed = dict(rename or result.task.get("rename", {}))
@@ -213,8 +212,8 @@ def _read_again(
                 f"'{record.name}' was made in memory and has no file: give the run itself in "
                 "Python, as in result.plot(run)"
                 if record.path is None
-                else f"{files} have not the content of {record.path}, which was fitted: give that "
-                "file"
+                else f"{files} do not have the content of {record.path}, which was fitted: give "
+                "that file"
             )
         if not data and not Path(path).exists() and record.sha256 is not None:
             path = moved_to(path, record.sha256, folder) or path

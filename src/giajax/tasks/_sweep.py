@@ -78,7 +78,7 @@ def _kind(values: Sequence[Any]) -> Any:
 
 
 def _as_text(value: Any) -> str | None:
-    """Text as it is, and what is no text as JSON."""
+    """Text as it is, and what is not a text as JSON."""
     return value if isinstance(value, str | None) else json.dumps(value)
 
 

@@ -114,7 +114,7 @@ def test_what_the_data_do_not_tell_is_not_determined():
 def test_what_makes_no_criterion_is_one_sentence():
     with pytest.raises(InputError, match="no criterion 'E': use one of: c, A, D"):
         Criterion("E", (1.0,))
-    with pytest.raises(InputError, match="no parameter is to be found"):
+    with pytest.raises(InputError, match="no parameter to estimate is given"):
         Criterion("A", (0.0, 0.0))
 
 

@@ -226,7 +226,7 @@ def test_priors_are_information():
     [
         ({"priors": {"air.drag": {"value": 1.0, "deviation": 0.1}}}, "did you mean"),
         ({"priors": {"joints.damping": {"value": 1.0, "deviation": 0.1}}}, "and is not free"),
-        ({"ties": {DRAG: f"0.4 * {STIFFNESS}"}}, f"'{DRAG}' is tied to others: ask for"),
+        ({"ties": {DRAG: f"0.4 * {STIFFNESS}"}}, f"'{DRAG}' is tied to others: give the"),
     ],
 )
 def test_what_a_question_cannot_be(options, words):
@@ -237,7 +237,7 @@ def test_what_a_question_cannot_be(options, words):
 def test_weights_may_be_one():
     question = asked(wanted={DRAG: 1.0, STIFFNESS: 1.0})
     assert question.weights("c") == tuple(question.values)
-    with pytest.raises(InputError, match="criterion c is of one number"):
+    with pytest.raises(InputError, match="criterion c needs one number"):
         asked(wanted=[DRAG, STIFFNESS]).weights("c")
 
 
@@ -280,7 +280,7 @@ def test_a_free_first_state_is_a_nuisance():
         (["--parameter", DRAG, "--criterion", "E"], "no criterion 'E'"),
         (
             ["--parameter", DRAG, "--parameter", STIFFNESS, "--criterion", "c"],
-            "criterion c is of one number",
+            "criterion c needs one number",
         ),
         (["--parameter", DRAG, "--noise", "position_m=0"], "positive"),
         (["--parameter", DRAG, "--relative-uncertainty", "-1"], "the uncertainty of"),

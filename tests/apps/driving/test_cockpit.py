@@ -130,7 +130,7 @@ def test_the_arm_stops_when_the_tab_is_gone(cockpit):
         page.send(json.dumps({"type": "pad", "axes": [0, -1], "buttons": []}))
         eventually(lambda: cockpit.session.operator.command[0] > 0)
     eventually(lambda: cockpit.session.operator.stopped is not None)
-    assert "no word from the page" in cockpit.session.operator.stopped
+    assert "no message from the page" in cockpit.session.operator.stopped
     stands = cockpit.session.operator.command
     time.sleep(0.2)
     assert np.array_equal(cockpit.session.operator.command, stands)
@@ -173,18 +173,18 @@ def test_a_drive_that_breaks_off_is_over(cockpit, monkeypatch):
         monkeypatch.setattr(cockpit.session, "tick", lambda *_, **__: 1 / 0)
         assert "ZeroDivisionError" in told(page, "ended")["text"]
     assert cockpit.ended
-    assert "the drive broke off" in cockpit.error
+    assert "the drive was aborted" in cockpit.error
     assert isinstance(cockpit.failure, ZeroDivisionError)
 
 
 def test_a_message_that_says_nothing_is_answered(cockpit):
     with socket_of(cockpit) as page:
         for text, said in (
-            ("[]", "is no table"),
-            ("{", "is no JSON"),
+            ("[]", "is not a table"),
+            ("{", "is not JSON"),
             ('{"type": "pad", "axes": [], "buttons": []}', "the pad has no axes"),
-            (f'{{"type": "joint", "joint": 1, "deg": {10**400}}}', "which is no angle"),
-            ("[" * 10_000, "is no JSON"),
+            (f'{{"type": "joint", "joint": 1, "deg": {10**400}}}', "which is not a valid angle"),
+            ("[" * 10_000, "is not JSON"),
         ):
             page.send(text)
             assert said in told(page, "error")["text"]

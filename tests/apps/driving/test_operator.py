@@ -200,11 +200,11 @@ def test_the_usual_pad_bends_base_and_tip():
 @pytest.mark.parametrize(
     ("message", "said"),
     [
-        ({"type": "fly"}, "of the kind 'fly', which is none"),
-        ({"type": "pad", "axes": [], "buttons": []}, "the pad has no axes, and turns nothing"),
+        ({"type": "fly"}, "unknown kind 'fly'"),
+        ({"type": "pad", "axes": [], "buttons": []}, "the pad has no axes"),
         ({"type": "pad", "axes": "x", "buttons": []}, "has no list of numbers 'axes'"),
         ({"type": "joint", "joint": 9, "deg": 1}, "a slider is of joint 9, and the arm has 3"),
-        ({"type": "joint", "joint": 1, "deg": float("nan")}, "which is no angle"),
+        ({"type": "joint", "joint": 1, "deg": float("nan")}, "which is not a valid angle"),
         ({"type": "preset", "name": "up and away"}, "there is no preset 'up and away'"),
     ],
 )
@@ -220,12 +220,12 @@ def test_messages_that_say_nothing(operator, message, said):
         ("joints = [2]", "joints = [4]", "axis 0 is of joint 4, and the arm has 3: correct it"),
         ("axes = [", "sticks = [", r"unknown key pad\.sticks"),
         ("dead_zone = 0.1", "dead_zone = 1.0", r"pad\.dead_zone = 1.0 must be a number from 0"),
-        ('preset = "up"', 'preset = "down"', "button 0 goes to 'down', which is no preset"),
+        ('preset = "up"', 'preset = "down"', "button 0 goes to 'down', which is not a preset"),
         # The one of the same button behind it does not hide it.
         (
             '{button = 0, preset = "up"}',
             '{button = 0, preset = "down"}, {button = 0, preset = "up"}',
-            "button 0 goes to 'down', which is no preset",
+            "button 0 goes to 'down', which is not a preset",
         ),
         ('name = "straight"', 'name = "up"', "there are two presets 'up': rename one"),
         ("angles_deg = [20.0]", "angles_deg = [1.0, 2.0]", "has 2 angles for 1 joints"),

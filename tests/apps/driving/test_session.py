@@ -82,7 +82,7 @@ def test_it_keeps_step_with_the_clock(model):
     session.receive({"type": "joint", "joint": 1, "deg": 60.0}, 110.5)
     pose = session.tick(111.2, most=2)
     assert pose.time == pytest.approx(before + 2 * session.interval)
-    assert "no word" in pose.stopped
+    assert "no message" in pose.stopped
 
 
 def test_messages_hold_from_the_next_interval_on(model):
@@ -92,7 +92,7 @@ def test_messages_hold_from_the_next_interval_on(model):
     pose = session.tick(session.interval)
     assert pose.command[1] > 0
     assert pose.stopped is None
-    assert "no word" in session.tick(0.9).stopped
+    assert "no message" in session.tick(0.9).stopped
 
 
 def test_gusts_are_switched(model):
@@ -202,7 +202,7 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
         full.setattr("giajax.cli._drive.write_and_say", raises(InputError("no")))
         assert main([*words]) == 2
     kept = "drive-2-unfinished.csv"
-    assert f"giajax: no; what was kept of the drive is in {kept}\n" in capsys.readouterr().err
+    assert f"giajax: no; the recorded part of the drive is in {kept}\n" in capsys.readouterr().err
     assert len(read_run(kept).times) == len(run.times)
     assert main([*words]) == 0
     assert "wrote drive-3.csv" in capsys.readouterr().out

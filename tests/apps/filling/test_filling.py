@@ -166,7 +166,7 @@ def test_a_bottle_with_too_little_leaves_links_limp():
 
 def test_what_cannot_be_followed_is_said():
     made = small("bottle", supply__nozzle_diameter=0.5)
-    with pytest.raises(InputError, match=r"cannot be followed beyond .* s, after 20000 steps"):
+    with pytest.raises(InputError, match=r"of the filling fails beyond .* s, after 20000 steps"):
         fill(made)
     assert np.isnan(filling_curve(made, duration=300, diameters=(0.01,)).flows).all()
 

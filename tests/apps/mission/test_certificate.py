@@ -90,7 +90,7 @@ def test_of_a_long_recording_the_end_counts():
         ),
         ({"joint31_angle": np.zeros(601)}, "joint31_angle"),
         ({"joint01_torque": np.full(601, 5.0)}, "driven by joint01_torque, and a mission by"),
-        ({"rate": 1.0}, "tip_x of 'resting' is recorded too seldom to tell its noise"),
+        ({"rate": 1.0}, "tip_x of 'resting' is recorded too seldom to separate noise"),
         ({"imu03_accel_x": np.zeros(601)}, "simulate"),
         (
             {"tip_x": np.where(np.arange(601) % 33, np.nan, 0.1), "stated": {"position_m": 0.01}},
@@ -179,7 +179,7 @@ def test_where_all_or_none_succeed_there_is_still_an_interval(reached):
 
 def test_few_missions_are_no_certificate():
     with pytest.raises(
-        InputError, match="12 of 12 missions could be followed at rest: a chance takes 20"
+        InputError, match="12 of 12 missions could be followed at rest: a probability needs 20"
     ):
         chance_of(drawn(1, seed=5)[0], drawn(12, seed=1))
 
@@ -219,7 +219,9 @@ def test_the_command_says_the_chance_and_writes_what_is_behind_it(recording, mon
     assert main([*given, "--out", "chance"]) == 2
     assert "--force" in capsys.readouterr().err
     assert main([*given, "--case", "4"]) == 2
-    assert "--case is of one mission: leave --from-recording out" in capsys.readouterr().err
+    assert (
+        "--case applies to a single mission: leave --from-recording out" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.slow

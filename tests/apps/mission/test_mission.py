@@ -127,7 +127,7 @@ def test_arms_are_drawn_about_the_drawn_one():
         ratios -= np.log(float(np.ravel(read(planned.model))[0]))
         assert np.std(ratios) == pytest.approx(spread[path], rel=0.2)
     odd = mission(mission__spread={"arms.length": 0.1})
-    with pytest.raises(InputError, match=r"'arms\.length', which is no parameter of this arm"):
+    with pytest.raises(InputError, match=r"'arms\.length', which is not a parameter of this arm"):
         odd.case(0)
 
 
@@ -146,8 +146,8 @@ def test_the_air_has_its_speed():
     [
         ({"mission": None}, r"the file has no \[mission\]: add one"),
         ({"camera": {}}, "no camera at the tip: give one"),
-        ({"mission__camera": "other"}, "'other' is no camera at the tip"),
-        ({"mission__opening": "front"}, "'front' is no wall with an opening"),
+        ({"mission__camera": "other"}, "'other' is not a camera at the tip"),
+        ({"mission__opening": "front"}, "'front' is not a wall with an opening"),
         ({"arm__obstacles": []}, "no opening is around the arm"),
         ({"mission__limit_s": -1.0}, "mission.limit_s = -1.0 must be a positive number"),
         ({"mission__operator__approach": {"joints": [1, 2], "angles_deg": [3.0]}}, "give as many"),
@@ -193,11 +193,11 @@ def test_reasons_are_those_of_the_rows():
         inside: np.ndarray
 
     none, some = np.zeros(5), np.array([0, 2, 4, 0, 0])
-    assert "followed" in _reason(Seen(none, none), False, 1.0)
+    assert "simulation of its motion failed" in _reason(Seen(none, none), False, 1.0)
     assert "never came" in _reason(Seen(none, none), True, 1.0)
     assert "did not stay" in _reason(Seen(some, some), True, 0.1)
-    assert "did not come near" in _reason(Seen(some, none), True, 2.0)
-    assert "near, and not in" in _reason(Seen(some, none), True, 0.5)
+    assert "did not reach the opening" in _reason(Seen(some, none), True, 2.0)
+    assert "close, but did not enter" in _reason(Seen(some, none), True, 0.5)
 
 
 def test_both_readings_are_14_m():

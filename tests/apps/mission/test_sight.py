@@ -176,7 +176,7 @@ def test_a_camera_beside_the_tip_is_not_the_tip():
     [
         ((Box(),), None, "no opening is around the arm: add a wall"),
         ((WALL, WallWithOpening(name="other")), None, "openings in wall, other: say which"),
-        ((WALL,), "door", "'door' is no wall with an opening: there is wall"),
+        ((WALL,), "door", "'door' is not a wall with an opening: there is wall"),
     ],
 )
 def test_a_mission_without_its_opening_is_refused(obstacles, name, sentence):

@@ -411,5 +411,7 @@ def test_a_bottle_with_too_little_stops_on_the_way():
 
 def test_what_cannot_be_followed_is_said():
     """A roll that goes in jerks, a hundred of them a second."""
-    with pytest.raises(InputError, match=r"cannot be followed beyond .* give a larger film.loss"):
+    with pytest.raises(
+        InputError, match=r"of the unrolling fails beyond .* give a larger film.loss"
+    ):
         unroll(made("by gas", film__loss=0.5))

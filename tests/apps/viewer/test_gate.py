@@ -261,7 +261,9 @@ def test_a_port_in_use_is_one_sentence(page):
         bound("127.0.0.1", 70000)
     with pytest.raises(InputError, match=r"cannot listen at 203\.0\.113\.7"):
         bound("203.0.113.7", 0)
-    with pytest.raises(InputError, match="the host is '', which is no address: give one, such as"):
+    with pytest.raises(
+        InputError, match="the host is '', which is not an address: give one, such as"
+    ):
         bound("", 0)
     with pytest.raises(InputError, match="cannot listen at aaaa"):
         bound("a" * 300, 0)

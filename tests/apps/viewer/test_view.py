@@ -297,10 +297,13 @@ def test_markers_are_where_a_camera_sees_them(show, page):
     ("words", "said"),
     [
         (["nothing.csv"], "nothing.csv does not exist: give a run, the folder of a fit, or an arm"),
-        (["arm.toml", "arm.toml"], "an arm without a motion is shown by itself"),
+        (["arm.toml", "arm.toml"], "a TOML file without a motion must be the only argument"),
         (["arm.toml", "--page", "page.html"], "page.html exists"),
         (["arm.toml", "--port", "70000", "--no-browser"], "the port is 70000"),
-        (["arm.toml", "--host", "", "--no-browser"], "the host is '', which is no address: give"),
+        (
+            ["arm.toml", "--host", "", "--no-browser"],
+            "the host is '', which is not an address: give",
+        ),
     ],
 )
 def test_errors_are_one_sentence(words, said, tmp_path, monkeypatch, capsys):

@@ -75,9 +75,9 @@ def test_numbers_may_be_given_for_all_links_or_for_each():
         ({"joint_axes": ["pitch", "yaw", "roll"]}, "the joint axis 'roll' is unknown"),
         (
             {"joint_axes": ["yaw", "yaw", [0, 0, 0]]},
-            "[0, 0, 0] is no direction: give three",
+            "[0, 0, 0] is not a direction: give three",
         ),
-        ({"joint_axes": ["yaw", "yaw", [0, 1]]}, "[0, 1] is no direction: give three numbers"),
+        ({"joint_axes": ["yaw", "yaw", [0, 1]]}, "[0, 1] is not a direction: give three numbers"),
     ],
 )
 def test_what_cannot_be_built_is_refused(options, sentence):
@@ -90,7 +90,7 @@ def test_the_classes_check_what_they_are_given():
     arm = takeichi_20m(3)
     with pytest.raises(InputError, match="give each the shape"):
         Links(*[jnp.ones(3)] * 5, jnp.ones(2))
-    with pytest.raises(InputError, match="a joint axis is no unit vector"):
+    with pytest.raises(InputError, match="a joint axis is not a unit vector"):
         Joints(axes=((0.0, 0.0, 2.0),))
     with pytest.raises(InputError, match="2 joint axes for 3 links"):
         Arm(arm.links, Joints(axes=(PITCH, YAW)), arm.air, jnp.zeros(3))

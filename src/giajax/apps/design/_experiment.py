@@ -188,7 +188,7 @@ class Expected:
         criterion: error that the criterion is about; that of one parameter in its unit. None where
             the experiment does not determine it, to a hundred times the value at least.
         times: of the samples, s.
-        predicted: all candidates by name as the model foresees them, SI.
+        predicted: all candidates by name as the model predicts them, SI.
     """
 
     run: Run

@@ -55,7 +55,7 @@ class Criterion:
                 f"there is no criterion '{self.kind}': use one of: {', '.join(_KINDS)}"
             )
         if not any(self.weights):
-            raise InputError("no parameter is to be found: give the path of at least one")
+            raise InputError("no parameter to estimate is given: give the path of at least one")
 
     @property
     def rank(self) -> int:
@@ -243,7 +243,7 @@ class Question:
         """Weights of all that is free, as `Criterion` takes them."""
         if criterion == "c" and len(self.wanted) > 1 and not self.weighted:
             raise InputError(
-                f"criterion c is of one number, and {len(self.wanted)} are wanted: give one "
+                f"criterion c needs one number, but {len(self.wanted)} are given: give one "
                 "parameter, the weight of each, or the criterion A or D"
             )
         own = (0.0,) * (len(self.known) - len(self.parameters))
@@ -278,7 +278,7 @@ def question_of(
     weighted = isinstance(wanted, Mapping)
     weights = dict(wanted) if isinstance(wanted, Mapping) else dict.fromkeys(wanted, 1.0)
     if not weights:
-        raise InputError("no parameter is to be found: give the path of at least one")
+        raise InputError("no parameter to estimate is given: give the path of at least one")
     model = switched_on(model, [path.partition("[")[0] for path in weights])
     asked = free or ()
     if free is None:
@@ -294,7 +294,7 @@ def question_of(
     interest = {p.path: weight for path, weight in weights.items() for p in elements(model, path)}
     for path in (path for tie in order for path in tie.elements):
         if path in interest or path in asked:
-            raise InputError(f"'{path}' is tied to others: ask for what it follows from")
+            raise InputError(f"'{path}' is tied to others: give the parameters that determine it")
         parts.pop(path, None)
     before = checked_priors(settings.get("priors", {}) if priors is None else priors)
     values = np.asarray([float(part.value(model)) for part in parts.values()])

@@ -183,7 +183,7 @@ class Cockpit:
             self.error = str(error)
         except Exception as error:
             # Whoever waits for the drive must learn that nothing moves any more.
-            self.error, self.failure = f"the drive broke off: {error!r}", error
+            self.error, self.failure = f"the drive was aborted: {error!r}", error
         finally:
             self._ended.set()
 
@@ -250,12 +250,12 @@ class Cockpit:
         try:
             message = json.loads(text, parse_int=_whole)
         except (ValueError, RecursionError) as error:
-            self._answers.append((connection, f"a message of the page is no JSON: {error}"))
+            self._answers.append((connection, f"a message of the page is not JSON: {error}"))
             return
         if isinstance(message, dict):
             self._inbox.append((connection, message, time.monotonic()))
         else:
-            self._answers.append((connection, "a message of the page is no table"))
+            self._answers.append((connection, "a message of the page is not a table"))
 
     def _tell(self, connection: "ServerConnection") -> None:
         from websockets.exceptions import ConnectionClosed
@@ -326,5 +326,5 @@ def _dismiss(connection: "ServerConnection") -> None:
 
 
 def _whole(digits: str) -> int | float:
-    """An integer of a message; those of a thousand digits are no joint and no angle."""
+    """An integer of a message; those of a thousand digits are neither a joint nor an angle."""
     return int(digits) if len(digits) < 16 else float(digits)

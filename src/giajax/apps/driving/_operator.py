@@ -118,7 +118,7 @@ class PadMapping:
         for button, name in goes:
             if name not in presets:
                 raise InputError(
-                    f"{source}: button {button} goes to '{name}', which is no preset: add it to "
+                    f"{source}: button {button} goes to '{name}', which is not a preset: add it to "
                     "[[pad.presets]]"
                 )
         return cls(
@@ -161,11 +161,11 @@ def _places(numbers: list[int], joints: int, who: str, source: str) -> list[int]
 
 
 _PRESSED = 0.5  # a button counts as pressed from here on
-NOT_YET = "nobody has moved anything yet"
+NOT_YET = "no command has been given yet"
 STOPPED = "stopped by the operator"
-SILENT = "no word from the page: the tab or its connection is gone"
-NO_PAD = "the pad is gone"
-LET_GO = "the dead man's button is not held"
+SILENT = "no message from the page: the tab or its connection is lost"
+NO_PAD = "the pad is disconnected"
+LET_GO = "the dead man's switch is not pressed"
 
 
 class Operator:
@@ -211,7 +211,7 @@ class Operator:
         elif kind == "stop":
             self._stop(STOPPED)
         elif kind != "alive":
-            raise InputError(f"a message of the page is of the kind {kind!r}, which is none")
+            raise InputError(f"a message of the page has the unknown kind {kind!r}")
         self._heard = now
 
     def advance(self, now: float, elapsed: float) -> Float[np.ndarray, " joint"]:
@@ -237,7 +237,7 @@ class Operator:
     def _pad(self, axes: Sequence[float], buttons: Sequence[float]) -> None:
         """What the pad is like now; a pad that has just come is not moved yet."""
         if not axes:
-            raise InputError("the pad has no axes, and turns nothing: connect one with sticks")
+            raise InputError("the pad has no axes: connect one with sticks")
         held = frozenset(i for i, value in enumerate(buttons) if value > _PRESSED)
         fresh, self._pressed = held - self._pressed, held
         self._pad_here = True
@@ -263,7 +263,7 @@ class Operator:
         if not (isinstance(joint, int) and 1 <= joint <= self.joints):
             raise InputError(f"a slider is of joint {joint!r}, and the arm has {self.joints}")
         if not (isinstance(angle, int | float) and np.isfinite(angle)):
-            raise InputError(f"a slider is at {angle!r} deg, which is no angle")
+            raise InputError(f"a slider is at {angle!r} deg, which is not a valid angle")
         self._aim(joint - 1, np.deg2rad(angle))
 
     def _go(self, name: str) -> None:

@@ -59,7 +59,7 @@ class Compensation:
         channels = [compensator.input_channel, compensator.output_channel]
         if any(channel is not None and channel.quantity != "angle" for channel in channels):
             raise InputError(
-                f"what is compensated is commanded by {compensator.input_channel.column}, and the "
+                f"the compensated input is {compensator.input_channel.column}, and the "
                 "joints of an arm by angles: give a fit from commanded to measured angles"
             )
         self._compensator = compensator
@@ -159,7 +159,7 @@ class Record:
             InputError: too short a drive, one in which no joint was moved, or an unknown channel.
         """
         if len(self) < 2:
-            raise InputError("nothing was driven: there is no run to save")
+            raise InputError("no time was driven: there is no run to save")
         if self.is_still:
             raise InputError("no joint was moved: there is no run to save")
         values = command_columns(self.commands)
@@ -238,7 +238,7 @@ class Unfinished:
             if not self._failed:
                 self.complain(
                     f"giajax: {self.path} cannot be written ({error.strerror}): a kill would lose "
-                    "what is driven until it can"
+                    "the drive until it can be written"
                 )
             self._failed = True
             return
@@ -417,7 +417,7 @@ def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:
     It is read as a run is, by the same limits.
 
     Raises:
-        InputError: there is no such file, or it is not such a table.
+        InputError: the file does not exist, or it is no such a table.
     """
     path = Path(path)
     columns = read_numbers(path)

@@ -81,7 +81,7 @@ class Audit(NamedTuple):
 
 
 def check_audited(arm: Arm) -> None:
-    """Refuse what is no part of the balances.
+    """Refuse what is not a part of the balances.
 
     Raises:
         InputError: added mass, or a law of joints whose states have no rate.

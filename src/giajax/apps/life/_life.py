@@ -221,8 +221,8 @@ def live(
     courses["feed"] = _gas("feed", made, courses["fill"].end, feeds=1, force=pull)
     if not bool(courses["feed"].reached):
         raise InputError(
-            f"the supply never brings all links to the {pull:.1f} N that one muscle pulls with: "
-            "give a stronger supply"
+            f"the supply never brings all links to the {pull:.1f} N pull of one muscle: give a "
+            "stronger supply"
         )
     courses["raise"] = _gas("raise", made, courses["feed"].end, settles=1, duration=RAISING)
     settled = courses["raise"]
@@ -239,7 +239,7 @@ def live(
     rows = jnp.asarray(outcome.command), jnp.asarray(outcome.wind)
     found = audit(flown.model.arm, interval, *rows, jnp.asarray(_REPEATED, real))
     if not np.all(np.isfinite(found.energy)):
-        raise InputError("the repeat of the mission could not be followed: try another seed")
+        raise InputError("the repeated simulation of the mission failed: try another seed")
     say("deflating")
     pressure = float(jnp.max(settled.pressure[-1]))
     vented = _gas("vent", made, settled.end, opens=1, pressure=_LET_OUT * pressure)
@@ -275,7 +275,8 @@ def _gas(phase: str, unrolling: Unrolling, begin: GasState, **what: float) -> Ga
     found: GasCourse = gas_course(unrolling, handling, begin, tolerance, _TIMES)
     if not bool(found.succeeded):
         raise InputError(
-            f"the gas cannot be followed in the phase '{phase}': give narrower holes, or a larger "
+            f"the simulation of the gas fails in the phase '{phase}': give narrower holes, or a "
+            "larger "
             "skin_slack"
         )
     return found

@@ -96,7 +96,7 @@ class Resting:
 
         Raises:
             InputError: nothing was measured, a channel that the model of the arm does not show
-                without integrating it, no commands, commands that are no angles, move or are not
+                without integrating it, no commands, commands that are not angles, move or are not
                 those of the straight arm, less than half a minute, a channel that was recorded too
                 seldom, or no noise that is stated or can be told from the motion.
         """
@@ -121,7 +121,7 @@ class Resting:
                 )
             if np.max(np.abs(row)) > _MOVES:
                 raise InputError(
-                    f"{name} of '{run.name}' is {np.rad2deg(row[0]):.1f} deg, and a mission begins "
+                    f"{name} of '{run.name}' is {np.rad2deg(row[0]):.1f} deg, but a mission starts "
                     "with the straight arm: record it at rest with all commands 0"
                 )
         assert run.times is not None
@@ -129,7 +129,7 @@ class Resting:
         if -times[0] < _SHORTEST:
             raise InputError(
                 f"'{run.name}' lasts {-times[0]:.1f} s: record the resting arm for at least "
-                f"{_SHORTEST:g} s, better for a minute"
+                f"{_SHORTEST:g} s, preferably for a minute"
             )
         late = times >= -_LONGEST
         times = times[late] - times[late][0]
@@ -149,8 +149,8 @@ class Resting:
             deviation = _noise(times[there], row[there]) if stated is None else stated
             if deviation is None:
                 raise InputError(
-                    f"{name} of '{run.name}' is recorded too seldom to tell its noise from the "
-                    "motion: state it in [noise] of its sidecar"
+                    f"{name} of '{run.name}' is recorded too seldom to separate noise and motion: "
+                    "state its noise in [noise] of its sidecar"
                 )
             noise[column] = deviation / np.sqrt(np.mean(many[many > 0]))
         found = cls(names, bins, noise)
@@ -285,8 +285,8 @@ class Certificate:
         interval: 95 % confidence interval of the chance from the number of missions; the error of
             the logistic model is not in it.
         near: the tenth of all missions whose rests were nearest to the recording.
-        unlike: whether the recording is none of the drawn rests, by Hotelling's test at 0.1 % for
-            normal logarithms.
+        unlike: whether the recording is not one of the drawn rests, by Hotelling's test at 0.1 %
+            for normal logarithms.
         cases: all that were flown.
         chances: of each of those, by what its own rest shows.
     """
@@ -328,8 +328,8 @@ def certificate(
     sound = np.all(np.isfinite(features), axis=1)
     if np.sum(sound) < FEWEST_CASES:
         raise InputError(
-            f"{np.sum(sound)} of {len(rested)} missions could be followed at rest: a chance takes "
-            f"{FEWEST_CASES}, so fly more"
+            f"{np.sum(sound)} of {len(rested)} missions could be followed at rest: a probability "
+            f"needs {FEWEST_CASES}: raise --cases"
         )
     features = features[sound]
     cases = tuple(each.case for each, used in zip(rested, sound, strict=True) if used)

@@ -15,7 +15,7 @@ from ...runtime.text import InputError
 
 
 def number(default: float) -> Any:
-    """A field that a program takes as an argument, so that another value is no other program."""
+    """A field that a program takes as an argument, so that another value is the same program."""
     return eqx.field(converter=lambda x: jnp.asarray(x, jnp.result_type(float)), default=default)
 
 
@@ -89,7 +89,7 @@ def opening_of(arm: Arm, name: str | None = None) -> Opening:
     if name is None and len(walls) > 1:
         raise InputError(f"there are openings in {', '.join(walls)}: say which")
     if name is not None and name not in walls:
-        raise InputError(f"'{name}' is no wall with an opening: there is {', '.join(walls)}")
+        raise InputError(f"'{name}' is not a wall with an opening: there is {', '.join(walls)}")
     wall = next(iter(walls.values())) if name is None else walls[name]
     turn = wall.turn()
     frame = jnp.stack([rotate(turn, axis) for axis in jnp.eye(3, dtype=turn.dtype)], axis=1)
@@ -166,8 +166,8 @@ class AbstractController(eqx.Module):
             InputError: it cannot.
         """
         raise InputError(
-            f"{type(self).__name__} keeps no station: give its class a method keeping_station, or "
-            "take the controller operator or mpc"
+            f"{type(self).__name__} cannot hold a position: give its class a method "
+            "keeping_station, or use the controller operator or mpc"
         )
 
 

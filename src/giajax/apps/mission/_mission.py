@@ -268,7 +268,7 @@ def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row widt
     stops = mission.section.camera_stops_s
     fails = reached is None and sound.all()
     if fails and not mission.enters:
-        reason = "it was to stay before the opening"
+        reason = "the mission was to hold the tip before the opening"
     elif fails and stops is not None and not np.any(table.inside[table.time <= stops] > 0):
         reason = "the camera stopped before the tip was inside"
     return Outcome(
@@ -295,14 +295,14 @@ def _from_rest(rows: Any, first: np.ndarray | float = 0.0) -> np.ndarray:
 def _reason(rows: Rows, sound: bool, nearest: float) -> str:
     """Why a mission failed, in a few words that many share."""
     if not sound:
-        return "its motion could not be followed"
+        return "the simulation of its motion failed"
     if not np.any(rows.corners >= 2):
         return "the opening never came into view"
     if np.any(rows.inside > 0):
-        return "the tip came in, and did not stay"
+        return "the tip entered, but did not stay inside"
     if nearest > 1.5:
-        return "the tip did not come near"
-    return "the tip came near, and not in"
+        return "the tip did not reach the opening"
+    return "the tip came close, but did not enter"
 
 
 def _touched(arm: Arm, rows: Rows) -> tuple[Touched, ...]:
@@ -410,7 +410,7 @@ class Mission:
                 "which by mission.camera"
             )
         if name is not None and name not in lenses:
-            raise InputError(f"mission.camera = '{name}' is no camera at the tip: correct it")
+            raise InputError(f"mission.camera = '{name}' is not a camera at the tip: correct it")
         camera = next(iter(lenses.values())) if name is None else lenses[name]
         far = float(np.linalg.norm(np.asarray(opening.centre)))
         reach = float(np.sum(np.asarray(model.arm.links.length)))
@@ -443,7 +443,9 @@ class Mission:
         values = parameter_values(self.model)
         unknown = next((path for path in spread if path not in values), None)
         if unknown is not None:
-            raise InputError(f"mission.spread has '{unknown}', which is no parameter of this arm")
+            raise InputError(
+                f"mission.spread has '{unknown}', which is not a parameter of this arm"
+            )
         random = np.random.default_rng([seed, 1])
         drawn = {
             path: np.asarray(values[path]) * np.exp(deviation * random.normal())

@@ -200,8 +200,8 @@ class Operator(AbstractController):
     the `approach`. Else the tip is driven to a place before the opening, the nearer to its axis the
     closer, and through it: joints turn so that the tip would move faster than it is seen to move by
     a multiple of what is missing, and the camera looks to where it goes. The commanded shape is
-    taken for the arm's: where it really is, and what blows, nobody tells the operator. Once inside,
-    the operator sees the room, and holds still.
+    taken for the arm's: where it really is, and what blows, the operator does not know. Once
+    inside, the operator sees the room, and holds still.
 
     Attributes:
         approach: commanded angles from which the opening is in view, rad, shape (joint,).

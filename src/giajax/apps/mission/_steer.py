@@ -85,7 +85,7 @@ class Steering(AbstractController):
     **Safe state.** Where the opening has not been seen for `patience`, nothing is aimed at any
     more: the plan is that which brings the commands to the approach with the least swing, and they
     stay there. The arm then moves with the air, held back by its damping and its stiffness alone.
-    In the opening commands stay as they are. An estimate that is no number stops all commands at
+    In the opening commands stay as they are. An estimate that is not a number stops all commands at
     once.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""Figs 5 and 19 and table 3 of the paper, and what nobody printed of its experiment."""
+"""Figs 5 and 19 and table 3 of the paper, and what is not printed of its experiment."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence

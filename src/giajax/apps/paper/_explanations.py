@@ -42,7 +42,7 @@ uncertainty of "about", of the last digit, and of a command of a whole degree.
 """
 
 PRESSURES = (1000.0, 1200.0, 1500.0)
-"""Of the links, Pa: at these an experiment tells explanations apart."""
+"""Of the links, Pa: at these an experiment distinguishes explanations."""
 
 
 class Searched(NamedTuple):

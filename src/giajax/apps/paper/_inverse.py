@@ -332,7 +332,7 @@ def _rows(ends: Sequence[SearchEnd]) -> tuple[tuple[Any, ...], ...]:
     for at in range(len(CELLS)):
         rows.append((f"singular value {at + 1}", "", *(f"{size[at]:.2g}" for size in sizes)))
     replaced = [int(rough(end).sum()) for end in ends]
-    rows.append(("derivatives that are no slopes", "", *replaced))
+    rows.append(("derivatives without a slope", "", *replaced))
     return tuple(rows)
 
 

@@ -183,10 +183,10 @@ def plan_command(
     begun, goal = (np.asarray(rest.tip) for rest in (rests[0], rests[-1]))
     travel = float(np.linalg.norm(goal - begun))
     if not travel > 1e-6:
-        raise InputError("the tip is where it is to go already: choose another target")
+        raise InputError("the tip is already at its target: choose another target")
     problem = _problem(arm, route, rests[-1], within * travel, limits, duration, knots)
     if progress is not None:
-        progress("looking for a command ...")
+        progress("searching a command ...")
     y, steps = problem.solved(most_steps, progress)
     _check(problem, y, duration)
     direct = _direct(route, limits.rate)
@@ -201,7 +201,7 @@ def plan_command(
     drawn = arms_left_open(stated, result, draw_count)
     arms = [arm, *wrong, *drawn]
     if progress is not None:
-        progress(f"looking at {len(arms)} arms ...")
+        progress(f"evaluating {len(arms)} arms ...")
     rows = [
         _moved(name, command, arms, len(wrong), **how)
         for name, command in (("direct", direct), ("planned", problem.command(y)))
@@ -209,19 +209,19 @@ def plan_command(
     target.check(arm, rows[1].tips)
     notes = _doubts(rows[1], limits, within * travel, arm.further_laws.rows > 0)
     if springs == "some":
-        notes.append("the columns of stiffness are of the springs: muscles are as they are stated")
+        notes.append("the stiffness columns apply to springs: muscles keep their stated values")
     if lost := len(drawn) - min(len(row.drawn) for row in rows):
         notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")
     if steps >= most_steps:
-        notes.append(f"the search was ended after {steps} steps: more may find a better command")
+        notes.append(f"the search ended after {steps} steps: more steps may find a better command")
     if result is not None and result.verdict.status == "inadequate":
-        notes.append("the model of the fit is not adequate: the arm may move in another way")
+        notes.append("the model of the fit is not adequate: the arm may move differently")
     kept = (rows[0], rows[1], goal, travel, within, period, limits, steps, stated)
     return Plan(*kept, problem, tuple(notes))
 
 
 def _clear_at_ends(arm: Arm, rests: Sequence[Rest], limits: CommandLimits) -> None:
-    """Refuse a beginning or an end that is too near an obstacle: no way could mend it."""
+    """Refuse a beginning or an end that is too near an obstacle: no path can correct it."""
     assert arm.contact is not None
     things = arm.contact.obstacles
     for rest, where in ((rests[0], "begins"), (rests[-1], "ends")):
@@ -294,7 +294,11 @@ def _doubts(row: Planned, limits: CommandLimits, near: float, remembers: bool) -
     """Notes on what arms do by the planned command (`InputError`: a link meets something)."""
     notes = []
     if row.missed > near:
-        why = "joints that remember may creep on" if remembers else "give it longer, or more knots"
+        why = (
+            "joints with hysteresis may continue to creep"
+            if remembers
+            else "give it more time, or more knots"
+        )
         notes.append(
             f"within three slowest periods after the command the tip is up to {row.missed:.3g} m "
             f"from the target, and {near:.3g} m are allowed: {why}"
@@ -303,8 +307,7 @@ def _doubts(row: Planned, limits: CommandLimits, near: float, remembers: bool) -
         return notes
     if row.clearance < 0:
         raise InputError(
-            "between the times that are looked at while planning a link meets what stands around: "
-            "plan with more clearance"
+            "between the planned times a link touches an obstacle: plan with more clearance"
         )
     for gap, whose in ((row.clearance, ""), (row.closest, " of an arm that may be the true one")):
         if gap < limits.clearance:
@@ -339,7 +342,7 @@ def _problem(
     if duration is not None and duration < least:
         raise InputError(
             f"within {np.rad2deg(limits.rate):g} deg/s the way there takes {least:.1f} s, and the "
-            f"command is to last {duration:g} s: give it longer, or allow a larger rate"
+            f"command is to last {duration:g} s: give it more time, or allow a larger rate"
         )
     base = direct.at(np.linspace(0.0, least, knots + 1))
     period, pressure = 2 * np.pi / frequencies[0], limits.pressure or np.inf
@@ -367,27 +370,25 @@ def _check(problem: PlanProblem, y: np.ndarray, duration: float | None) -> None:
     kept = problem.values(np.concatenate([y[:-2], np.zeros(2)]))
     if np.min(kept) <= -LOST / 2:
         raise InputError(
-            "the motion of the arm cannot be simulated on the way there: choose a nearer target, "
-            "or a lower rate"
+            "the motion to the target cannot be simulated: choose a closer target, or a lower rate"
         )
     clear = 0 if problem.task.arm.contact is None else DURING + AFTER
     missing = -GAP * float(np.min(kept[AFTER : AFTER + clear], initial=0.0)) - ROOM
     pressed = -SHARE * float(np.min(kept[AFTER + clear :], initial=0.0))
     if missing > NEARER or pressed > _PRESSED:
-        what = f"a link comes {missing:.2g} m nearer to what stands around it than it may"
+        what = f"a link comes {missing:.2g} m closer to an obstacle than the clearance allows"
         if pressed > _PRESSED:
             what = f"a muscle needs {1 + pressed:.2f} times the largest pressure"
         raise InputError(
-            f"no command is found that keeps to the limits ({what}): allow more, or go there in "
-            "two moves"
+            f"no command within the limits was found ({what}): relax the limits, or plan two moves"
         )
     off = float(1 - np.min(kept[:AFTER]))
     if duration is None and off > 1 + SLACK:
         muscles = problem.task.arm.pneumatics is not None
-        held = "; muscles may hold a joint at several angles, near 0 above all" if muscles else ""
+        held = "; muscles may hold a joint at several angles, above all near 0" if muscles else ""
         raise InputError(
             f"no command within the limits is found after which the tip stays near the target (at "
-            f"best {off:.3g} times as far as it may be{held}): allow larger angles or rates, or "
+            f"best {off:.3g} times the allowed distance{held}): allow larger angles or rates, or "
             "more knots"
         )
 
@@ -426,7 +427,7 @@ def _moved(
     angles, tips, rests, successful, gaps = map(np.asarray, run_on_all_cores([batch])[0])
     if not successful[0]:
         raise InputError(
-            "the motion of the arm cannot be simulated by the command: choose a nearer target"
+            "the motion of the arm under the command cannot be simulated: choose a closer target"
         )
     from_rest = np.linalg.norm(tips - rests[:, None], axis=2)
     left = np.where(successful, np.max(from_rest[:, UNTIL:], axis=1), np.inf)

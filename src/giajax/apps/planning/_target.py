@@ -53,7 +53,7 @@ Looked = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def kept_last(look: Looked) -> Looked:
-    """A function of unknowns that keeps its last values and slopes: optimisers ask for each."""
+    """A function of unknowns that keeps its last values and slopes: optimisers request each."""
 
     @functools.lru_cache(maxsize=1)
     def known(raw: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -160,8 +160,8 @@ class Through(AbstractTarget):
             if np.all(np.abs(place[1:]) < np.asarray(opening.half)):
                 return
         raise InputError(
-            "the way that is found does not go through the opening: begin before the wall, or "
-            "approach it from nearer poses"
+            "the path that was found does not lead through the opening: start before the wall, or "
+            "approach it from closer poses"
         )
 
 
@@ -215,7 +215,7 @@ def commands_reaching(
     if nearest > _FAR:
         raise InputError(
             f"the tip cannot be at {_text(place)} m with joints within {np.rad2deg(limit):g} deg: "
-            f"the nearest pose that is found is {nearest:.2g} m from it; choose a target within "
+            f"the closest pose that was found is {nearest:.2g} m from it; choose a target within "
             "reach"
         )
     found = minimize(
@@ -231,11 +231,11 @@ def commands_reaching(
     off = float(np.linalg.norm(values[:3]))
     known_rest = rest_at(without_contact(arm), jnp.asarray(found.x, kept.dtype))
     if off > _OFF or np.min(values[3:], initial=0.0) < -_OFF or not known_rest.known:
-        kept_to = "" if len(margin) == 3 else " and so far from what stands around it"
+        kept_to = "" if len(margin) == 3 else " and with the required clearance"
         raise InputError(
             f"no pose is found in which the tip is at {_text(place)} m, with joints within "
             f"{np.rad2deg(limits.angle):g} deg{kept_to} (it comes as near as {off:.2g} m): choose "
-            "a target within reach, or give it more room"
+            "a target within reach, or reduce the clearance"
         )
     return np.asarray(found.x)
 

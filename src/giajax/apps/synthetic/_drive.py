@@ -62,7 +62,7 @@ class Drive:
 def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
     """Commands that go from the straight arm at 0 s through some movements.
 
-    Each movement goes on from where the one before it left its joint. A joint that no movement
+    Each movement continues from where the one before it left its joint. A joint that no movement
     names has no column.
 
     Arguments:

@@ -29,7 +29,7 @@ class RecordingErrors:
     """What goes wrong between a motion and its file.
 
     Standard deviations and sizes are SI, by quantity (`position`, `angle`, `rate`) or by channel.
-    A turned, shifted or late camera is no error of this kind: it is a parameter of the model.
+    A turned, shifted or late camera is not an error of this kind: it is a parameter of the model.
 
     Attributes:
         white: standard deviation of noise that each sample has by itself.
@@ -202,7 +202,7 @@ def synthesise(
             beside those that the definition states.
         missing: fraction of the samples of each channel that are left empty, in [0, 1).
         seed: of the noise and the gaps.
-        definition: what a sidecar would say of the run; the model's constants are added.
+        definition: what a sidecar would say of the run; the constants of the model are added.
         constants: the model whose constants are added instead, such as one that knows nothing of a
             turned camera.
 

@@ -411,7 +411,7 @@ def tracked_arm(
             the arm does not have, or an arm among obstacles.
     """
     if model.arm.contact is not None:
-        raise InputError("the arm has obstacles, which it is not tracked among: leave them out")
+        raise InputError("the arm has obstacles, which tracking does not support: leave them out")
     for name in channels:
         if (Channel.named(name).index or 0) > model.arm.count and "mark" not in name:
             raise InputError(
@@ -425,8 +425,8 @@ def tracked_arm(
     ):
         if rate is not None and float(rate):
             raise InputError(
-                f"{path} is {float(rate):g}, and a state is tracked by clocks that are right: "
-                "correct time_s, and leave it out"
+                f"{path} is {float(rate):g}, but tracking needs exact clocks: correct time_s, and "
+                "leave it out"
             )
     for path in paths:
         if path not in _DELAYS and len(elements(model, path)) != 1:

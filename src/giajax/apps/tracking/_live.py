@@ -78,7 +78,7 @@ _BEFORE = 2  # rows, beside which the next one is checked
 class LiveRows:
     """Rows of a CSV file whose lines come one after the other; the first names the columns.
 
-    A line that is no row that may follow those before it is left out with a warning.
+    A line that is not a row that may follow those before it is left out with a warning.
 
     Arguments:
         lines: of the file, in their order.
@@ -213,8 +213,8 @@ def _tracker_of(
     """The tracker of a run that begins with these rows, and what is unknown to it."""
     if first.winds:
         raise InputError(
-            f"'{first.name}' has columns of a wind, which is not known before it blows: leave "
-            "them out, or track the run once it has ended"
+            f"'{first.name}' has columns of a wind, which is not known in advance: leave them out, "
+            "or track the run after it has ended"
         )
     assert first.times is not None
     source, given = known_of(first)

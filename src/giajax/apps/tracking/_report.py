@@ -279,33 +279,34 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
     ]
     if found.loosened > 1:
         notes.append(
-            f"with the usual unmodelled torque the state became infinite; it was followed with "
-            f"{found.loosened} times as much: the model may lack something, such as a wind"
+            f"with the usual unmodelled torque the state became infinite; it was tracked with "
+            f"{found.loosened} times as much: the model may lack an effect, such as a wind"
         )
     notes += [change_sentence(change) for change in found.changes]
     if found.changes and not verdict.adequate:
-        notes.append("what has changed is doubtful as long as the track is not adequate")
+        notes.append("changes are not reliable while the track is not adequate")
     changed = {change.path: change.time for change in found.changes}
     for path, before in found.unknown.estimated.items():
         if found.smoothed.parameter_deviations[path][-1] > SHOWN * before:
             since = f" after {changed[path]:.1f} s" if path in changed else ""
             notes.append(
-                f"this run shows nothing about {path}{since}: the arm rests, or moves in another "
-                "direction"
+                f"this run has no information on {path}{since}: the arm is at rest, or moves in "
+                "another direction"
             )
     if hidden:
         names = [name for name, _, _ in hidden]
         notes.append(
-            f"these channels hardly show {', '.join(names[:_NAMED])}"
+            f"these channels have little information on {', '.join(names[:_NAMED])}"
             + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
-            + ": they stay about as uncertain as they were"
+            + ": their uncertainty is hardly reduced"
         )
     if verdict.left_out > 0:
-        notes.append(f"{verdict.left_out:.2%} of the measurements were outliers and did not count")
+        notes.append(f"{verdict.left_out:.2%} of the measurements were rejected as outliers")
     if found.now is not None:
         known = float(np.sqrt(np.mean(np.sum(found.now.tip_deviations**2, axis=1))))
         notes.append(
-            f"when a measurement comes, {found.now_times[0] - found.times[0]:.2g} s late, the tip "
+            f"when a measurement arrives, {found.now_times[0] - found.times[0]:.2g} s late, the "
+            "tip "
             f"is known to {known:.2g} m"
         )
     return notes

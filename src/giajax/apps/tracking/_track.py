@@ -240,7 +240,7 @@ def model_and_unknown(
     """The arm of a run and what is unknown of it: of a fit, as it is for that run, and its errors.
 
     Raises:
-        InputError: it is no arm.
+        InputError: it is not an arm.
     """
     unknown = with_errors_of(model, Unknown() if unknown is None else unknown)
     return arm_model_of(model.model_of(run) if isinstance(model, FitResult) else model), unknown
@@ -313,7 +313,7 @@ class Plan:
     width: int
 
     def held(self, begin: np.ndarray, end: np.ndarray) -> Held:
-        """What is known of intervals; a jump at their end is none of them."""
+        """What is known of intervals; a jump at their end is not one of them."""
         length = end - begin
         last = end - 1e-9 * np.maximum(length, 1e-3)
         edges = np.stack([begin, last], axis=-1)
@@ -343,8 +343,8 @@ def planned(model: ArmModel, run: Run, channels: Sequence[str], *, unknown_air: 
     for name in run.commands:
         if run.channels[name].kind != "joint_command":
             raise InputError(
-                f"'{run.name}' drives the arm by {name}, and an arm is tracked that follows "
-                "commanded angles: leave the column out"
+                f"'{run.name}' drives the arm by {name}, but tracking needs commanded angles: "
+                "leave the column out"
             )
     inputs = model.prepare(run)
     assert run.times is not None
@@ -607,7 +607,7 @@ def begun_at(
     if unknown.air is not None and (known or has_own_wind(model)):
         raise InputError(
             f"the wind of '{run.name}' is known, by its columns, [wind] or the arm: leave that "
-            "out, or do not track one"
+            "out, or do not track a wind"
         )
     tracked = tracked_arm(
         model,
@@ -622,8 +622,8 @@ def begun_at(
     plan = planned(model, run, names, unknown_air=unknown.air is not None)
     if len(plan.times) * tracked.size**2 > _MOST:
         raise InputError(
-            f"'{run.name}' has {len(plan.times)} times with {tracked.size} states each, more than "
-            "are kept: cut it into several runs"
+            f"'{run.name}' has {len(plan.times)} times with {tracked.size} states each, which is "
+            "too many: split it into several runs"
         )
     watch = None
     if (directions := watched_parameters(tracked, unknown)) is not None:
@@ -718,13 +718,15 @@ def track(
             break
     else:
         raise InputError(
-            f"the arm cannot be followed through '{run.name}': its state becomes infinite; "
-            f"allow more unmodelled torque than {float(tracked.torque):.2g} (--torque), or compare "
-            "the model with the run first (giajax fit), its wind, too"
+            f"the arm cannot be tracked through '{run.name}': its state becomes infinite; allow "
+            f"more unmodelled torque than {float(tracked.torque):.2g} (--torque), or compare model "
+            "and wind with the run first (giajax fit)"
         )
     if not np.any(found.used):
         raise InputError(
-            f"no measurement of '{run.name}' counts, as each is more than {gate:g} deviations off: "
+            f"no measurement of '{run.name}' is accepted, because each is more than {gate:g} "
+            "standard "
+            "deviations off: "
             "compare the model with the run first (giajax fit), or allow more (--gate)"
         )
     say("smoother ...")
@@ -742,7 +744,7 @@ def track(
     late = max(delays_of(stated, names).values()) + latency
     now, now_times = None, plan.times
     if late > 0:
-        say("what is known in time ...")
+        say("estimates with latency ...")
         now = as_states(tracked, _ahead(tracked, plan, course.rows.state, late))
         now_times = plan.times + late
     seen = course.rows.innovation
@@ -833,7 +835,8 @@ def moving(times: np.ndarray, values: np.ndarray, noise: np.ndarray) -> np.ndarr
     """Whether a channel has moved by more than its noise lately, at each time.
 
     Where none has, a parameter shows by products of errors only, which a linearised filter takes
-    for more than they are. The middle one of three values counts, so that an outlier is no motion.
+    for more than they are. The middle one of three values counts, so that an outlier is not taken
+    for motion.
 
     Arguments:
         times: s, in their order, shape (event,).

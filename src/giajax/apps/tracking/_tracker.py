@@ -145,8 +145,8 @@ class DelayedFilter(Generic[Kept]):
             history, which is lost.
 
         Raises:
-            InputError: a number of values that is not that of the channels, or a time that is no
-                number.
+            InputError: a number of values that is not that of the channels, or a time that is not
+                a number.
         """
         if not np.isfinite(time):
             raise InputError(f"measurements are given for {time} s: give their time as a number")

@@ -93,8 +93,8 @@ class TrackVerdict:
             return f"not adequate: {best.name} (log-likelihood +{best.gain:.3g}); {best.advice}"
         size = f"innovations are {np.sqrt(self.nis):.2g} times as large as expected"
         return (
-            f"not adequate: {size}, with a correlation of {self.correlation:.2f}, and no "
-            "explanation that was tried is better: compare the model with the run by a fit"
+            f"not adequate: {size}, with a correlation of {self.correlation:.2f}, and no tested "
+            "explanation is better: compare the model with the run by a fit"
         )
 
 
@@ -266,7 +266,7 @@ def _others(stated: ArmModel, found: Track, nis: float) -> list[Any]:
         kept = {path: size for path, size in unknown.considered.items() if path not in spread}
         estimated = also(considered=kept, correlation=None, estimated=spread)
         others.append(
-            ("other stiffness or drag", estimated, None, "fit the model to a run like this one")
+            ("a different stiffness or drag", estimated, None, "fit the model to a similar run")
         )
     axes: dict[tuple[str, int | None], list[str]] = {}
     for name in found.noise:

@@ -1,4 +1,4 @@
-"""An arm in three dimensions, in a browser: a live page, and a file that plays without a server."""
+"""An arm in three dimensions, in a browser: a live page, and a page that plays without a server."""
 
 from ._gate import (
     LOOPBACK as LOOPBACK,

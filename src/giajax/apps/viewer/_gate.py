@@ -91,9 +91,9 @@ _HEAD_TIME, _IDLE_TIME = 10.0, 60.0
 # Connections without a head, and as many with the token; of one peer half of them.
 _MOST, _MOST_OF_PEER = 64, 32
 
-_TOKEN = "This page has an address with a token in it: open it by the whole address."
-_ORIGIN = "This request came from another page or by another name: open the address as it was said."
-_FULL = "This page has as many connections as it may have: close other tabs of it."
+_TOKEN = "The address of this page contains a token: open the full address."
+_ORIGIN = "This request came from another page or host name: open the printed address."
+_FULL = "This page has reached its limit of connections: close other tabs."
 
 _HOST = re.compile(r"([a-z0-9._-]+|\[[0-9a-f:.]+\])(?::([0-9]{1,5}))?")
 
@@ -113,7 +113,7 @@ class Gate:
         host, port: where to listen; 0 for a free one.
 
     Raises:
-        InputError: the port is in use, or the host is none of this machine.
+        InputError: the port is in use, or the host is not one of this machine.
     """
 
     def __init__(self, sockets: Mapping[str, Path], *, host: str = LOOPBACK, port: int = 0) -> None:
@@ -146,7 +146,7 @@ class Gate:
         return self.host not in (LOOPBACK, "localhost", "::1")
 
     def close(self) -> None:
-        """Let nobody in any more."""
+        """Accept no connection any more."""
         if self._loop.is_running():
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join(timeout=5)
@@ -331,7 +331,7 @@ async def _closed(writer: asyncio.StreamWriter) -> None:
 def bound(host: str, port: int) -> socket.socket:
     """A socket that listens at a place, which must be one of this machine that is not in use."""
     if not host:
-        raise InputError("the host is '', which is no address: give one, such as 127.0.0.1")
+        raise InputError("the host is '', which is not an address: give one, such as 127.0.0.1")
     if not 0 <= port <= 65535:
         raise InputError(f"the port is {port}: give one from 1024 to 65535, or 0 for a free one")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET

@@ -255,7 +255,7 @@ class Viewer:
 
 
 class LiveStage:
-    """A page of viser with an arm that somebody else moves; the scene is of one sample."""
+    """A page of viser with an arm that is moved from elsewhere; the scene is of one sample."""
 
     def __init__(self, scene: Scene) -> None:
         self._backend = Backend()

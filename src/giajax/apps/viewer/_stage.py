@@ -70,7 +70,7 @@ class Backend:
 def _listening_at(path: Path) -> Iterator[None]:
     """Have viser listen at a path.
 
-    It offers a host and a port alone, and asks nobody who connects for anything. So the function
+    It offers a host and a port alone, and authenticates no connection. So the function
     that it listens by is exchanged while it starts; that this took place is checked afterwards.
     """
     from websockets.asyncio import server

@@ -94,12 +94,12 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
     errors = np.sqrt(np.diag(covariance))
     if not found.converged:
         notes.append(
-            "the fit did not end at a maximum, and its standard errors mean little: begin nearer "
-            "to the truth, or hold more"
+            "the fit did not end at a maximumso its standard errors are not reliable: start with "
+            "better values, or fix more of them"
         )
     for name, error in zip(found.free, errors, strict=True):
         if error > OPEN:
-            notes.append(f"{name} is not determined: hold it, or record longer or more links")
+            notes.append(f"{name} is not determined: fix it, or record longer or more links")
     for one, other in itertools.combinations(range(len(found.free)), 2):
         together = covariance[one, other] / (errors[one] * errors[other])
         if abs(together) > _TOGETHER:
@@ -108,43 +108,44 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
             known = np.sqrt(max(left - 2 * sign * covariance[one, other], 0.0))
             what = "ratio" if sign > 0 else "product"
             notes.append(
-                f"{found.free[one]} and {found.free[other]} trade off (correlation "
+                f"{found.free[one]} and {found.free[other]} are correlated (correlation "
                 f"{together:.2f}): their {what} is known to {known:.1%}"
             )
     if abs(found.misfit[0] - 1) > _OFF * found.misfit[1]:
         much = "larger" if found.misfit[0] > 1 else "smaller"
         notes.append(
-            f"the spectra are {found.misfit[0]:.2f} times what is expected, {much} than chance: "
-            "another arm, noise or wind than assumed, and standard errors that do not know of it"
+            f"the spectra are {found.misfit[0]:.2f} times their expected value, {much} than by "
+            "chance: arm, noise or wind differ from the assumed ones, and the standard errors do "
+            "not include this"
         )
     if expects.use_mean:
         off = np.abs(found.means[0] - found.means[1]) / found.means[2]
         if np.max(off) > _ASIDE:
             notes.append(
-                f"the mean of a channel is {np.max(off):.0f} standard errors off: the wind comes "
-                "from elsewhere, or the arm rests elsewhere without it than its model; free the "
-                "direction, or leave the means out"
+                f"the mean of a channel is {np.max(off):.0f} standard errors off: the direction of "
+                "the wind or the rest position of the model is wrong; free the direction, or "
+                "leave the means out"
             )
     else:
         notes.append(
-            "the resting position was not used, so that the mean flow is known from how quickly "
-            "gusts pass alone"
+            "the resting position was not used, so the mean flow is estimated only from the speed "
+            "at which gusts pass"
         )
     gusts = expects.lasts * found.wind.speed / found.wind.length_scale
     if gusts < _GUSTS:
         notes.append(
-            f"the record is {gusts:.0f} times as long as a gust, and standard errors are rough "
-            f"with less than {_GUSTS}"
+            f"the record is {gusts:.0f} times as long as a gust, and standard errors are "
+            "approximate below {_GUSTS}"
         )
     if found.swing > _SWINGS:
         notes.append(
             f"a joint swings by {np.rad2deg(found.swing):.0f} deg, and its response is not linear"
         )
     if found.left_out:
-        notes.append(f"left out because they bend more than they move: {', '.join(found.left_out)}")
+        notes.append(f"left out because their response is not linear: {', '.join(found.left_out)}")
     if settled := expects.record.settled:
         notes.append(
-            f"the first {settled:.3g} s, which are unlike the rest or before the last command, "
+            f"the first {settled:.3g} s, which differ from the rest or precede the last command, "
             "were left out: a skip of 0 keeps them"
         )
     if filled := expects.record.filled:
@@ -276,7 +277,7 @@ def fit_wind(
     if "decay" in free and not decay > 0:
         raise InputError("the decay is free and begins at 0: give a positive one")
     if model.arm.air.wind_field is not None:
-        raise InputError("the arm has a wind field, and its wind is looked for: leave one out")
+        raise InputError("the arm has a wind field, and a wind is to be fitted: leave one out")
     own = model.arm.air.wind
     if mean is None:
         mean = run.definition.section(WindSection).velocity_m_per_s
@@ -316,7 +317,7 @@ def _straight(model: ArmModel, record: Resting, wind: Turbulence) -> Resting:
     bent = WindModel(model, record, use_mean=False).bent(wind) > _BENT
     if bent.all():
         raise InputError(
-            "every channel bends more than it moves in such a wind, and is none of a linear "
-            "response: record others, or begin with a weaker wind"
+            "no channel has a linear response in this wind: record other channels, or start with a "
+            "weaker wind"
         )
     return record.of(np.flatnonzero(~bent).tolist())

@@ -129,8 +129,8 @@ def resting(
     joints = model.arm.joints
     if joints.further_laws.rows or (joints.friction is not None and np.any(joints.friction)):
         raise InputError(
-            "the arm has friction or joints with memory, which hold against small gusts and have "
-            "no slope at rest: leave them out of [arm]"
+            "the arm has friction or joints with memory, which stick in small gusts and have no "
+            "slope at rest: leave them out of [arm]"
         )
     run.require_observations()
     for name in run.observations:
@@ -279,8 +279,8 @@ def _delay(model: ArmModel, run: Run, name: str) -> float:
     of = sensors.camera if channel.quantity in ("length", "pixel") else sensors.encoder
     if of.clock_rate is not None and float(of.clock_rate):
         raise InputError(
-            f"the clock of {name} has a rate of {float(of.clock_rate):g}, and spectra are of "
-            "clocks that are right: correct time_s, and leave clock_rate out"
+            f"the clock of {name} has a rate of {float(of.clock_rate):g}, but spectra need exact "
+            "clocks: correct time_s, and leave clock_rate out"
         )
     delay = of.delay
     if channel.quantity == "pixel":

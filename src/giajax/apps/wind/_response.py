@@ -171,7 +171,8 @@ def at_rest(
     left = np.linalg.lstsq(here.by_angle, here.unbalanced, rcond=None)[0]
     if not np.all(np.isfinite(left)) or np.max(np.abs(left)) > 1e-7:
         raise InputError(
-            f"no rest of the arm is found in a mean wind of {np.array2string(mean, precision=3)} "
+            "no equilibrium of the arm was found in a mean wind of "
+            f"{np.array2string(mean, precision=3)} "
             "m/s: begin with a weaker one"
         )
     joints = len(found.x)
@@ -179,8 +180,8 @@ def at_rest(
     if np.max(np.linalg.eigvals(motion).real) > 0:
         raise InputError(
             f"the arm does not stay at its rest in a mean wind of "
-            f"{np.array2string(mean, precision=3)} m/s, and no spectrum is that of its motion: "
-            "begin with a weaker wind, or correct stiffness and gravity"
+            f"{np.array2string(mean, precision=3)} m/s, so its motion has no spectrum: start with "
+            "a weaker wind, or correct stiffness and gravity"
         )
     return found.x, here
 

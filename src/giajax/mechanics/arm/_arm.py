@@ -59,7 +59,7 @@ class Arm(ShownAsTable, eqx.Module):
         links: the rigid links.
         joints: axes, springs and dampers.
         air: what surrounds the links.
-        buoyancy: helium and trim weights; None where lift and weight are no part of the model.
+        buoyancy: helium and trim weights; None where lift and weight are not part of the model.
         point_masses: bodies fixed to links; None for none.
         pneumatics: muscles that drive joints, in place of their springs; None where springs do.
         contact: obstacles around the arm, and how links press against them; None for none.
@@ -529,7 +529,7 @@ def with_wind(arm: Arm, wind: str | AbstractWind | Callable[..., Any]) -> Arm:
 
 
 def _check_stated(values: Mapping[str, Any], axes: Any, idle: Mapping[str, float]) -> None:
-    """Refuse an arm that somebody describes without what has no neutral value."""
+    """Refuse a user's arm without what has no neutral value."""
     missing = [
         each.path if each.key is None else f"{each.path} ({each.key.name})"
         for each in NO_NEUTRAL

@@ -72,8 +72,8 @@ def _curve_and_slope(reynolds: Array) -> tuple[Array, Array]:
 class Stream(NamedTuple):
     """The air past the links of an arm at one place of each link, or at several.
 
-    Vectors have shape (3, link), or (3, place, link) where there are several places; what is no
-    vector lacks the 3, and what is the same at all places may have one. `runtime.arrays` has what
+    Vectors have shape (3, link), or (3, place, link) where there are several places; what is not
+    a vector lacks the 3, and what is the same at all places may have one. `runtime.arrays` has what
     laws are written with: `dot`, `scaled`, and `safe_norm`, which has derivatives at rest.
 
     Attributes:

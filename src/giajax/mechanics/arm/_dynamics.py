@@ -187,7 +187,7 @@ def potential_energy(
 
     In a steady wind u added mass adds -1/2 u . M_a(q) u, which turns a link across the wind
     (the Munk moment): with it the sum of kinetic and potential energy changes by the powers of
-    drag and of the joints alone. That of a wind field is left out, which is no potential.
+    drag and of the joints alone. That of a wind field is left out, which is not a potential.
 
     Arguments:
         angles, command: of the joints, rad.

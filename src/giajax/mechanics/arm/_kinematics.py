@@ -107,7 +107,7 @@ def _orient_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[An
 
 
 def pose(arm: Arm, angles: PerJoint, *, sideways: bool = False) -> Pose:
-    """Forward kinematics at joint angles (rad); `sideways` asks for the links' whole frames."""
+    """Forward kinematics at joint angles (rad); `sideways` requests the links' whole frames."""
     base = rotation_vector_to_quaternion(arm.base_rotation)
     body = bodies(arm)
     sideways = sideways or body.across is not None

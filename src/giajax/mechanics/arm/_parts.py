@@ -64,7 +64,7 @@ def _unit_axis(axis: str | Sequence[float]) -> Axis:
     norm = np.linalg.norm(vector)
     if vector.shape != (3,) or not norm > 0:
         raise InputError(
-            f"the joint axis {list(axis)} is no direction: give three numbers, not all zero"
+            f"the joint axis {list(axis)} is not a direction: give three numbers, not all zero"
         )
     # A unit vector stays as it is, so that an arm comes back from its file bit for bit.
     unit = vector if abs(norm - 1) < 1e-15 else vector / norm
@@ -217,7 +217,7 @@ class Joints(eqx.Module):
     def __check_init__(self) -> None:
         norms = np.linalg.norm(np.asarray(self.axes, dtype=float), axis=-1)
         if not np.allclose(norms, 1.0, rtol=0, atol=1e-12):
-            raise InputError("a joint axis is no unit vector: build the arm with chain(...)")
+            raise InputError("a joint axis is not a unit vector: build the arm with chain(...)")
 
     @property
     def is_yaw(self) -> Bool[np.ndarray, " joint"]:

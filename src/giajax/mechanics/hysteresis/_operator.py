@@ -243,7 +243,7 @@ class Stop(AbstractPlays):
 
 
 def check_thresholds(thresholds: Array, weights: Array | None = None) -> None:
-    """Refuse thresholds that are no list of numbers of at least 0, or have other weights.
+    """Refuse thresholds that are not a list of numbers of at least 0, or have other weights.
 
     Raises:
         InputError: where the values are known, not while a program is traced.

@@ -96,7 +96,7 @@ def is_possible(
 ) -> Bool[Array, "*shape"]:
     """Whether a muscle has a path at bending angles (rad); may be traced.
 
-    A wire that is too short for the outer muscle is no matter here: the outer equations do not
+    A wire that is too short for the outer muscle does not matter here: the outer equations do not
     know of it, and a fit may pass through such a joint. `check_geometry` refuses it.
     """
     possible = jnp.ones(angle.shape, bool)

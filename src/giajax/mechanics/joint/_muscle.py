@@ -20,9 +20,9 @@ REACHED, NEEDS_PUSH, NEEDS_PRESSURE, TOO_SHORT, PULLS_ANYWAY = range(5)
 _MEANING = {
     REACHED: "reached",
     NEEDS_PUSH: "the muscle would have to push, which it cannot: raise the co-contraction torque",
-    NEEDS_PRESSURE: "it takes more than the pressure limit: ask for less, or a wider muscle",
-    TOO_SHORT: "the muscle does not shorten so far at any pressure: ask for less contraction",
-    PULLS_ANYWAY: "it has more force than that without any pressure: ask for more",
+    NEEDS_PRESSURE: "it needs more than the pressure limit: give a smaller force or a wider muscle",
+    TOO_SHORT: "the muscle does not contract so far at any pressure: give a smaller contraction",
+    PULLS_ANYWAY: "its force is larger even without pressure: give a larger force",
 }
 
 
@@ -335,7 +335,7 @@ def muscle_pressure(
         >>> from giajax.mechanics.joint import BraidedMuscle, muscle_pressure
         >>> answer = muscle_pressure(BraidedMuscle(), 2.0, 0.35)
         >>> bool(answer.reached), answer.message()
-        (False, 'the muscle does not shorten so far at any pressure: ask for less contraction')
+        (False, 'the muscle does not contract so far at any pressure: give a smaller contraction')
     """
     force, contraction, length = _arrays(force, contraction, length)
     _check(contraction, length, force=force)

@@ -380,6 +380,6 @@ def _check(joint: Joint, angle: Array, torque: Array, side: str | None) -> None:
         at = float(jnp.rad2deg(angle.ravel()[jnp.argmax(wrong)]))
         raise InputError(
             f"at {at:.4g} deg the muscle is not the {side} one: give no side, or the angle with "
-            "the other sign"
+            "the opposite sign"
         )
     check_geometry(joint.geometry, jax.device_get(angle))

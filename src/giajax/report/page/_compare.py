@@ -56,14 +56,18 @@ def _verdict(found: Contrast, apart: Sequence[str]) -> tuple[str, str]:
     ]
     if len(alone) == len(others):
         return "doubtful", (
-            "No parameter is determined by the first result and by another, so nothing is compared"
+            "No parameter is determined both by the first result and by another result, so "
+            "nothing is compared"
         )
     agree = (
         "No parameter that both determine differs from the first result by more than "
         f"{_DIFFERENT:g} joint standard errors"
     )
     if alone:
-        return "doubtful", f"{agree}, but it shares none with {', '.join(some_of(alone))}"
+        return (
+            "doubtful",
+            f"{agree}, but it has no parameter in common with {', '.join(some_of(alone))}",
+        )
     if any(column.status != "converged" for column in found.columns):
         return "doubtful", f"{agree}, but not every fit has converged"
     return "good", agree

@@ -81,22 +81,22 @@ def opening(result: FitResult) -> Opening:
         grade = "bad"
         headline = (
             "The fit has converged, but the model does not describe the data: the standard errors "
-            "are those of a model that is not right, and the true errors may be larger"
+            "assume that the model is correct, and the true errors may be larger"
         )
     elif result.verdict.status == "doubtful":
         grade = "doubtful"
         headline = (
-            "The fit has converged and its residuals are within the noise, but something that it "
-            "held or left out is significant, and moves what was fitted by more than its errors"
+            "The fit has converged and its residuals are within the noise, but a fixed or omitted "
+            "parameter is significant, and changes estimates by more than their errors"
         )
     elif result.verdict.status == "not evaluated":
         grade = "doubtful"
-        headline = "The fit has converged; whether the model describes the data was not judged"
+        headline = "The fit has converged; the verdict on the model was not evaluated"
     elif _undetermined(result):
-        grade, headline = "doubtful", f"{fits}not all parameters are determined by them"
+        grade, headline = "doubtful", f"{fits}the data do not determine all parameters"
     elif _has_wrong_derivatives(result):
         grade = "doubtful"
-        headline = f"{fits}the derivatives by which it got there are not right"
+        headline = f"{fits}the derivatives of the model are wrong"
     else:
         grade = "good"
         headline = "The fit has converged, and the model describes the data to within the noise"
@@ -109,8 +109,8 @@ def _of_the_model(result: FitResult) -> list[str]:
     doubted = any(reason.code == "suspect" for reason in reasons)
     for row in [] if doubted else significant(result)[:1]:
         of_model = row.kind not in ("axes", "columns", "points", "outliers")
-        held = ", which the model holds or leaves out" * of_model
-        said.append(f"the residuals ask most for {row.path}{held}")
+        held = ", which the model fixes or omits" * of_model
+        said.append(f"the residuals suggest most strongly {row.path}{held}")
     return said
 
 
@@ -118,12 +118,13 @@ def _undetermined(result: FitResult) -> list[str]:
     without = [path for path, one in result.free.items() if one.standard_error is None]
     if not without:
         return []
-    return [f"the data do not determine {', '.join(without)}: read no value of it"]
+    return [f"the data do not determine {', '.join(without)}: do not use its value"]
 
 
 def _held_numbers(result: FitResult) -> list[str]:
     return [
-        f"{error.path} is held, and {'its uncertainty' if error.stated else '1 % of it'} moves "
+        f"{error.path} is fixed, and {'its uncertainty' if error.stated else 'a change of 1 %'} "
+        "changes "
         f"{', '.join(error.decides)} by more than a standard error"
         for error in result.systematic
         if error.decides
@@ -143,12 +144,14 @@ def _precision(result: FitResult) -> list[str]:
             one = in_column_units(result.free, result.model)[worst]
             value, error = format_estimate(one.value, one.standard_error)
             unit = f" {one.unit}" if one.unit else ""
-            said.append(f"{worst} is known worst: {value} \N{PLUS-MINUS SIGN} {error}{unit}")
+            said.append(
+                f"{worst} has the largest relative error: {value} \N{PLUS-MINUS SIGN} {error}{unit}"
+            )
     correlation, path, other = strongest_correlation(result) or (0.0, "", "")
     if abs(correlation) > _CORRELATED:
         said.append(
-            f"{path} and {other} are told apart badly (correlation {correlation:+.3f}): do not "
-            "read one without the other"
+            f"{path} and {other} are strongly correlated (correlation {correlation:+.3f}): do not "
+            "interpret one without the other"
         )
     said += [one.sentence for one in result.findings if one.code not in _SAID]
     return said
@@ -158,11 +161,11 @@ def _prediction(result: FitResult) -> list[str]:
     channels = [channel for record in result.held_out for channel in record.channels.values()]
     sizes = [channel.size for channel in channels if channel.size is not None]
     if not channels and not result.validation:
-        return ["nothing was held out, so how well the model predicts is not tested"]
+        return ["no data were held out, so the prediction error is not tested"]
     if sizes and max(sizes) > _FAR_OFF:
         return [
-            f"what was held out is predicted up to {max(sizes):.2g} times as far off as noise and "
-            "the parameters allow"
+            f"the held-out data are predicted with errors up to {max(sizes):.2g} times those "
+            "expected from noise and parameters"
         ]
     return []
 
@@ -170,15 +173,20 @@ def _prediction(result: FitResult) -> list[str]:
 def _computation(result: FitResult) -> list[str]:
     said = []
     if result.noise is not None and result.noise.estimated:
-        said.append("the size of the noise was taken from the residuals, at least in part")
+        said.append("the size of the noise was estimated from the residuals, at least in part")
     effect = result.tolerance_effect
     largest = None if effect is None else effect.largest_in_standard_errors
     if capabilities.refined(result.model, 1.0) is None:
-        said.append("what a finer tolerance of the model would move is not checked")
+        said.append("the effect of a smaller solver tolerance was not checked")
     if largest is not None and largest > _NOTABLE:
-        said.append(f"a finer tolerance of the solver would move a value by {largest:.2g} errors")
+        said.append(
+            f"a smaller tolerance of the solver would change a value by {largest:.2g} errors"
+        )
     if _has_wrong_derivatives(result):
-        said.append("the derivatives disagree with differences, so the fit may have ended anywhere")
+        said.append(
+            "the derivatives disagree with finite differences, so the fit may have ended away from "
+            "the optimum"
+        )
     return said
 
 

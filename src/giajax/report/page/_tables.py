@@ -55,7 +55,7 @@ def _cell(value: float | None, about: str) -> Cell:
 def parameter_rows(result: FitResult) -> list[dict[str, Any]]:
     """What was fitted, what follows from it, and what the settings hold; in the columns' units.
 
-    Each as text, by what it is called in the template; `exact` is the value in all digits.
+    Each as text, by what it is called in the template; `exact` is the value at full precision.
     """
     factors = column_factors(result.model)
     stated = together(result.systematic)
@@ -107,7 +107,7 @@ def noise_table(result: FitResult) -> Table:
 
 def held_out_table(result: FitResult) -> Table:
     """What was held out, and how far off its prediction is."""
-    return _errors(result.held_out, "times what it may be off", lambda c: _number(c.size, "-"))
+    return _errors(result.held_out, "error over expected error", lambda c: _number(c.size, "-"))
 
 
 def validation_table(result: FitResult) -> Table:

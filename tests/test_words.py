@@ -1,0 +1,84 @@
+"""Phrases that pages, helps and messages avoid, each with its replacement (`docs/writing.md`)."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.quick
+
+ROOT = Path(__file__).parents[1]
+REPLACEMENTS = {
+    r"(?:tell|tells|telling|told) (?:\w+ )?apart": "distinguish",
+    r"(?:data|fit|it|model|residuals|suspect|that) asks? for": "requires, depends on, suggests",
+    r"hangs? on": "depends on",
+    r"foretells?|foresees?|foreseen": "predicts, expects",
+    r"mend(?:s|ed|ing)?": "corrects, repairs",
+    r"nobody|somebody": "name the thing or the person",
+    r"(?<!there )(?:is|are) none of": "is not one of, does not",
+    r"(?<!there )(?:is|are) no (?!longer\b|more\b|less\b|such\b)": "is not a, does not",
+    r"anew": "again, new",
+    r"(?:go|goes|going|gone|went) on from": "continues from, a warm start from",
+    r"in all digits": "at full precision",
+    r"by which it got there": "name what was computed",
+    r"which no fit meets|what does it \w+ on": "cannot be reproduced; depends on",
+}
+PHRASES = [
+    (re.compile(rf"\b(?:{phrase})" + r"\b" * (phrase[-1] != ")"), re.IGNORECASE), instead)
+    for phrase, instead in REPLACEMENTS.items()
+]
+# This page quotes what to replace; names of an earlier version and of paths stay.
+QUOTES = {"writing.md", "aliases.py", "identities.py"}
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+SOURCES = sorted((ROOT / "src").rglob("*.py"))
+
+
+def phrases_in(text):
+    """Each phrase to replace, with the line of the text that it is in."""
+    # A phrase may be broken over two lines.
+    joined = re.sub(r"\s", " ", text)
+    return [
+        (text.count("\n", 0, match.start()), f"{match[0]!r}: write {instead}")
+        for phrase, instead in PHRASES
+        for match in phrase.finditer(joined)
+    ]
+
+
+def phrases_of(path):
+    """The phrases of a page, or of the strings of a module: helps, messages and docstrings."""
+    text = path.read_text()
+    if path.suffix == ".md":
+        return [(line + 1, what) for line, what in phrases_in(text)]
+    return [
+        (node.lineno + line, what)
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        for line, what in phrases_in(node.value)
+    ]
+
+
+@pytest.mark.parametrize("paths", [PAGES, SOURCES], ids=["pages", "sources"])
+def test_phrases_are_those_of_the_field(paths):
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {what}"
+        for path in paths
+        if path.name not in QUOTES
+        for line, what in phrases_of(path)
+    ]
+    assert found == [], "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        ("The data tell\nthem apart.", 1),
+        ("What the residuals ask for is no model.", 2),
+        ("There is no model. It is no longer used.", 0),
+        ("Depends on the drag.", 0),
+        ("Everything hangs on it, and nobody mended it.", 3),
+        ("He recommended an amendment.", 0),
+    ],
+)
+def test_the_list_finds_what_it_names(text, count):
+    assert len(phrases_in(text)) == count
