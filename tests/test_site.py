@@ -110,8 +110,9 @@ def test_a_notebook_is_its_text_its_code_and_what_it_shows():
         output("execute_result", data={"text/html": "<table></table>", "text/plain": "a table"}),
         output("execute_result", data={"text/plain": "3"}),
     ]
-    text, code = nbformat.v4.new_markdown_cell("# A\ntext"), nbformat.v4.new_code_cell("x = 1")
-    shown = notebooks.markdown(nbformat.v4.new_notebook(cells=[text, code | {"outputs": outputs}]))
+    text = nbformat.v4.new_markdown_cell("# A\ntext")
+    code = nbformat.v4.new_code_cell("x = 1", outputs=outputs)
+    shown = notebooks.markdown(nbformat.v4.new_notebook(cells=[text, code]))
     assert shown == (
         "# A\ntext\n\n```python\nx = 1\n```\n\n```text\n1 2\n```\n\n"
         "![Drawn by the code above](data:image/png;base64,aGk=)\n\n"

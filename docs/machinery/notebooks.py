@@ -1,8 +1,9 @@
 """Notebooks as pages: their text, their code, and what it prints and draws.
 
-Notebooks are stored without outputs. Each is executed once and kept in `build/notebooks`, until it,
-the source of giajax or the constraints change. With GIAJAX_SHORT in the environment it is
-executed in its short form, which has other results and is kept beside.
+Notebooks are stored without outputs. Each is executed once and its outputs are kept in
+`build/notebooks` until the notebook, the source of giajax or the constraints change. With
+GIAJAX_SHORT in the environment its short form is executed, and is kept separately: CI builds the
+site with it, and the tests of the notebooks then use the same executions.
 """
 
 import hashlib
@@ -19,7 +20,7 @@ from nbclient import NotebookClient
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "build" / "notebooks"
 
-# Kernels share compiled programs with the tests and need no display; the last avoids a warning.
+# Kernels keep compiled programs and need no display; the last one avoids a warning of Jupyter.
 _VARIABLES = {
     "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".jax_cache"),
     "MPLBACKEND": "agg",
