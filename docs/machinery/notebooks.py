@@ -46,7 +46,7 @@ def executed(path: Path, kept: Path = KEPT) -> Any:
     notebook = nbformat.read(path, as_version=4)
     with TemporaryDirectory() as folder:
         resources = {"metadata": {"path": folder}}
-        client = NotebookClient(notebook, timeout=1200, kernel_name="python3", resources=resources)
+        client = NotebookClient(notebook, timeout=3600, kernel_name="python3", resources=resources)
         client.execute(env=_VARIABLES | os.environ)
     kept.mkdir(parents=True, exist_ok=True)
     # Another process may do the same at the same time, or read: each sees a whole file.
