@@ -45,7 +45,7 @@ def test_every_picture_of_the_gallery_has_the_command_that_draws_it():
             )
 
 
-# A command of each kind of file; others are drawn by the tests of their commands.
+# Commands that take seconds; the others are run before a release.
 DRAWN = [
     "fig5.png",
     "joint.png",

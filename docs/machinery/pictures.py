@@ -21,8 +21,14 @@ import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 
 import giajax
+from evidence._tracking import DELAY, INTENSITY, LENGTH_SCALE, MEAN, recorded
 from giajax.apps.experiments import one_link
+from giajax.apps.mission import Mission, Operator
 from giajax.apps.paper import explained, explanations_figure
+from giajax.apps.planning import Through, plan_command, plan_figure
+from giajax.apps.synthetic import DECAY
+from giajax.apps.tracking import Air, Unknown, track_figure, usual_places
+from giajax.apps.wind import first_guess
 from giajax.cli import main as command
 from giajax.report import draw_scene, new_figure, plain, to_png
 
@@ -75,7 +81,35 @@ def _wrinkling() -> None:
     (FOLDER / "wrinkling.png").write_bytes(to_png(explanations_figure(explained(loop), loop)))
 
 
-DRAWN_HERE: dict[str, Callable[[], None]] = {"arm.gif": _animated, "wrinkling.png": _wrinkling}
+def _moves() -> None:
+    """The arm of the mock-up, without joint memory, on its way through the opening."""
+    stated = giajax.Definition.load(ROOT / "missions" / "naraha.toml").contents()
+    del stated["arm"]["parameters"]
+    mission = Mission.from_definition(giajax.Definition.parse(stated))
+    operator = Operator.from_section(mission.section, mission.model.arm.count)
+    target = Through(approach=np.asarray(operator.approach))
+    found = plan_command(mission.model, target)
+    title = "Through the opening as fast as the limits allow"
+    (FOLDER / "moves.png").write_bytes(to_png(plan_figure(found, title)))
+
+
+def _tracking() -> None:
+    """An arm of eight links that is tracked in gusts, by a late camera."""
+    model = giajax.replace(giajax.ArmModel(giajax.takeichi_20m_full(8)), {"camera.delay": DELAY})
+    run, _ = recorded(model.arm, np.random.default_rng(3), 8)
+    wind = first_guess(MEAN, INTENSITY, LENGTH_SCALE, DECAY)
+    air = Air(wind, 0.1, places=usual_places(model))
+    found = giajax.track(model, run, unknown=Unknown(air=air))
+    title = "Eight links in gusts, the tip half a second late"
+    (FOLDER / "tracking.png").write_bytes(to_png(track_figure(found, title)))
+
+
+DRAWN_HERE: dict[str, Callable[[], None]] = {
+    "arm.gif": _animated,
+    "wrinkling.png": _wrinkling,
+    "moves.png": _moves,
+    "tracking.png": _tracking,
+}
 """What draws the pictures that no command draws."""
 
 
