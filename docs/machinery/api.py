@@ -108,9 +108,9 @@ def _entry(name: str, thing: object) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _table(names: Iterable[str]) -> str:
-    """Names with signatures and summaries."""
-    return ".. autosummary::\n\n" + "".join(f"   {name}\n" for name in names)
+def _table(names: Iterable[str], options: str = "") -> str:
+    """Names with summaries, and with signatures unless the options say otherwise."""
+    return f".. autosummary::\n{options}\n" + "".join(f"   {name}\n" for name in names)
 
 
 def _doc(room: str) -> tuple[str, str]:
@@ -126,9 +126,9 @@ def _room(room: str) -> str:
     ordered = sorted(names, key=lambda name: (name.count("."), name.lower()))
     entries = "\n".join(_entry(name, names[name]) for name in ordered)
     first, rest = _doc(room)
-    return (
-        f"# giajax.{room}\n\n```{{eval-rst}}\n{first}\n{rest}\n\n{_table(ordered)}\n{entries}```\n"
-    )
+    # Signatures follow on the same page.
+    table = _table(ordered, "   :nosignatures:\n")
+    return f"# giajax.{room}\n\n```{{eval-rst}}\n{first}\n{rest}\n\n{table}\n{entries}```\n"
 
 
 def _public(room: str, name: str) -> str:
