@@ -23,8 +23,8 @@ _INTRODUCTION = """\
 # Python
 
 `import giajax` offers the names below, by topic. The modules, which are listed after them, offer
-more: parts of an arm, equations and the types that functions return. Each name has its signature,
-its arguments with shape and unit, and an example. Units are SI, and angles are in radians.
+more: parts of an arm, equations and the types that functions return. Each name below has its
+signature, its arguments with shape and unit, and an example. Units are SI, and angles are in radians.
 """
 _TOPICS = {
     "Arms and motion": ("mechanics", "simulation"),
@@ -103,7 +103,7 @@ def _entry(name: str, thing: object) -> str:
         lines.append("   :no-value:")
     short = name.removeprefix("giajax.")
     if short in examples():
-        lines += ["", "   Example:", "", "   .. code-block:: python", ""]
+        lines += ["", "   .. rubric:: Example", "", "   .. code-block:: python", ""]
         lines += [f"      {line}".rstrip() for line in examples()[short].splitlines()]
     return "\n".join(lines) + "\n"
 
