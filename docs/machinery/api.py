@@ -24,7 +24,8 @@ _INTRODUCTION = """\
 
 `import giajax` offers the names below, by topic. The modules, which are listed after them, offer
 more: parts of an arm, equations and the types that functions return. Each name below has its
-signature, its arguments with shape and unit, and an example. Units are SI, and angles are in radians.
+signature, its arguments with shape and unit, and an example. Units are SI, and angles are in
+radians.
 """
 _TOPICS = {
     "Arms and motion": ("mechanics", "simulation"),
