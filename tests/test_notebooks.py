@@ -5,7 +5,9 @@ from pathlib import Path
 
 import nbformat
 import pytest
-from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
+
+from docs.machinery import notebooks
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -38,20 +40,43 @@ def test_a_notebook_is_stored_without_outputs(path):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(path, monkeypatch, tmp_path):
-    """In a kernel of its own, in an empty folder; GIAJAX_SHORT=1 makes it short."""
+def test_a_notebook_runs(path, monkeypatch):
+    """In a kernel of its own, in an empty folder, in short unless GIAJAX_SHORT says otherwise.
+
+    One that `make docs` ran, with the same source, is not run again.
+    """
     monkeypatch.setenv("GIAJAX_SHORT", os.environ.get("GIAJAX_SHORT", "1"))
-    monkeypatch.setenv("JUPYTER_PLATFORM_DIRS", "1")
-    monkeypatch.setenv("MPLBACKEND", "agg")
-    notebook = loaded(path)
-    NotebookClient(
-        notebook,
-        timeout=600,
-        kernel_name="python3",
-        resources={"metadata": {"path": str(tmp_path)}},
-    ).execute()
+    notebook = notebooks.executed(path)
     assert all(cell.execution_count for cell in code_of(notebook))
+    outputs = [output for cell in code_of(notebook) for output in cell.outputs]
+    shown = [output.data for output in outputs if "data" in output]
     if path.stem == "03_hysteresis":
-        outputs = [output for cell in code_of(notebook) for output in cell.outputs]
-        shown = [output.data.get("text/html", "") for output in outputs if "data" in output]
-        assert any("<table><thead><tr><th>parameter</th>" in html for html in shown)
+        tables = [data.get("text/html", "") for data in shown]
+        assert any("<table><thead><tr><th>parameter</th>" in html for html in tables)
+    else:
+        assert any("image/png" in data for data in shown)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+def test_an_execution_is_kept_until_the_notebook_changes(tmp_path):
+    path, kept = tmp_path / "small.ipynb", tmp_path / "kept"
+
+    def write(source):
+        cell = nbformat.v4.new_code_cell(source)
+        nbformat.write(nbformat.v4.new_notebook(cells=[cell]), path)
+
+    def printed():
+        (cell,) = notebooks.executed(path, kept).cells
+        return cell.outputs[0].text
+
+    write("import time; print(time.time())")
+    first = printed()
+    assert printed() == first
+    write("import time; print(time.time() + 1)")
+    assert printed() != first
+    assert len(list(kept.iterdir())) == 1
+    write("1 / 0")
+    with pytest.raises(CellExecutionError, match="ZeroDivisionError"):
+        notebooks.executed(path, kept)
+    assert len(list(kept.iterdir())) == 1

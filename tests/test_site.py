@@ -1,12 +1,16 @@
 """What makes the site of the documentation, and the site itself where `make docs` has built it."""
 
-import json
+import inspect
 import re
 from pathlib import Path
 
+import nbformat
 import pytest
 
-from docs.machinery import browse, commands, docstrings, files, notebooks, pictures
+import giajax
+from docs.machinery import api, browse, commands, docstrings, files, notebooks, pictures
+from giajax.cli import _app
+from giajax.cli._commands import GROUPS
 from giajax.schema import KINDS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -16,11 +20,54 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 
 @pytest.mark.quick
 def test_every_picture_is_drawn_here_shown_and_small():
-    drawn = {name for names in pictures.PICTURES for name in names.split()}
+    drawn = pictures.shown().keys()
     stored = {path.name for path in pictures.FOLDER.iterdir()}
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     assert drawn == stored == set(re.findall(r"!\[[^\]]+\]\((?:docs/)?pictures/([^)]+)\)", text))
     assert all(path.stat().st_size < 1_000_000 for path in pictures.FOLDER.iterdir())
+
+
+@pytest.mark.quick
+def test_every_picture_of_the_gallery_has_the_command_that_draws_it():
+    """That the commands are understood is asked of every page in test_readme.py."""
+    shown = pictures.shown()
+    assert len(shown) >= 20
+    for name, lines in shown.items():
+        words = lines[-1].split()
+        if name in pictures.DRAWN_HERE:
+            assert lines == [f"python -m docs.machinery.pictures {name}"]
+        else:
+            assert all(line.startswith("giajax ") for line in lines), name
+            # The last writes the picture into the folder of its result.
+            out, comment, file = words[-3:]
+            assert (comment, file.rpartition("/")[0]) == ("#", out.removeprefix("giajax-out/")), (
+                name
+            )
+
+
+# Commands that take seconds; the others are run before a release.
+DRAWN = [
+    "fig5.png",
+    "joint.png",
+    "equilibria.png",
+    "filling.png",
+    "filling_curve.png",
+    "unrolling.png",
+]
+
+
+@pytest.mark.slow
+def test_commands_of_the_gallery_draw_their_pictures(tmp_path, capsys):
+    found = dict(pictures.drawn(DRAWN, tmp_path))
+    assert list(found) == DRAWN
+    assert all(contents.startswith(b"\x89PNG") for contents in found.values())
+
+
+@pytest.mark.long
+def test_all_commands_of_the_gallery_draw_their_pictures(tmp_path, capsys):
+    names = [name for name in pictures.shown() if name not in {*DRAWN, *pictures.DRAWN_HERE}]
+    found = dict(pictures.drawn(names, tmp_path))
+    assert all(contents.startswith(b"\x89PNG") for contents in found.values())
 
 
 @pytest.mark.quick
@@ -32,9 +79,14 @@ def test_every_page_has_its_place_on_the_site():
 
 @pytest.mark.quick
 def test_the_references_have_every_command_and_every_section():
-    help_of_all, sections = commands.page(), files.page()
-    assert re.findall(r"^## giajax (\w+)$", help_of_all, re.MULTILINE)[:2] == ["check", "fit"]
-    assert "--hold-out" in help_of_all
+    shown, sections = commands.page(), files.page()
+    assert re.findall(r"^## giajax (\w+)$", shown, re.MULTILINE) == _app.command_names()
+    assert re.findall(r"^\| \[`giajax (\w+)`\]\(#giajax-\1\) \|", shown, re.MULTILINE) == (
+        _app.command_names()
+    )
+    assert [title for title in GROUPS.values() if f"\n## {title}\n" not in shown] == []
+    assert "\n| `--hold-out NAME` | " in shown
+    assert "\n| `--free PATH[=SD]` | " in shown
     for kind in KINDS.values():
         for name, section in kind.all_sections.items():
             assert f"\n## [{name}]\n" in sections
@@ -50,13 +102,37 @@ def test_a_docstring_is_plain_text_with_code():
 
 
 @pytest.mark.quick
-def test_a_notebook_is_its_text_and_code():
-    cells = [
-        {"cell_type": "markdown", "source": ["# A\n", "text"]},
-        {"cell_type": "code", "source": ["x = 1"]},
+def test_a_notebook_is_its_text_its_code_and_what_it_shows():
+    output, picture = nbformat.v4.new_output, {"image/png": "aGk=\n", "text/plain": "<Figure>"}
+    outputs = [
+        output("stream", text="1 2\n"),
+        output("display_data", data=picture),
+        output("execute_result", data={"text/html": "<table></table>", "text/plain": "a table"}),
+        output("execute_result", data={"text/plain": "3"}),
     ]
-    shown = notebooks.markdown(json.dumps({"cells": cells}))
-    assert shown == "# A\ntext\n\n```python\nx = 1\n```\n"
+    text = nbformat.v4.new_markdown_cell("# A\ntext")
+    code = nbformat.v4.new_code_cell("x = 1", outputs=outputs)
+    shown = notebooks.markdown(nbformat.v4.new_notebook(cells=[text, code]))
+    assert shown == (
+        "# A\ntext\n\n```python\nx = 1\n```\n\n```text\n1 2\n```\n\n"
+        "![Drawn by the code above](data:image/png;base64,aGk=)\n\n"
+        '```{raw} html\n<div class="table-wrapper"><table></table></div>\n```\n\n'
+        "```text\n3\n```\n"
+    )
+
+
+@pytest.mark.quick
+def test_every_public_name_has_a_place_and_an_example():
+    public = [name for name in giajax.__all__ if not inspect.ismodule(getattr(giajax, name))]
+    named = [name.removeprefix("giajax.") for names in api.topics().values() for name in names]
+    assert sorted(named) == sorted({*public} - {"__version__"})
+    in_docstrings = {name for name in named if ">>>" in inspect.getdoc(getattr(giajax, name))}
+    assert {*named} - in_docstrings - api.examples().keys() == set(), "docs/python_examples.md"
+    assert api.examples().keys() <= {*named} - in_docstrings
+    (page,) = [
+        text for text in api.pages().values() if ".. autofunction:: giajax.predict\n" in text
+    ]
+    assert ".. code-block:: python\n\n      predicted = giajax.predict(" in page
 
 
 @pytest.mark.quick

@@ -1,20 +1,41 @@
-"""The reference of Python's names: a page for each room, made of what the rooms export."""
+"""The reference of Python: the public names by topic, and a page for each module.
+
+A name has its signature, its docstring, and an example: that of its docstring, or the one of
+`docs/python_examples.md`, which the tests run.
+"""
 
 import functools
 import importlib
 import inspect
 import pkgutil
 import re
+from collections.abc import Iterable
+from pathlib import Path
 from types import ModuleType
 
 import giajax
 
+from .files import cell
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "python_examples.md"
+
 _INTRODUCTION = """\
 # Python
 
-A name of giajax is imported from `giajax` or, where it says so, from a room of it. Units are SI,
-and angles are in radians. What each argument is, with shape and unit, is said where it stands.
+`import giajax` offers the names below, by topic. The modules, which are listed after them, offer
+more: parts of an arm, equations and the types that functions return. Each name below has its
+signature, its arguments with shape and unit, and an example. Units are SI, and angles are in
+radians.
 """
+_TOPICS = {
+    "Arms and motion": ("mechanics", "simulation"),
+    "Recordings and files": ("recordings", "apps.synthetic"),
+    "Models and parameters": ("models", "schema"),
+    "Fits": ("fitting", "tasks", "report"),
+    "Studies": ("studies",),
+    "Applications": ("apps",),
+    "Errors, plugins and cores": ("runtime",),
+}
 
 
 @functools.cache
@@ -64,6 +85,16 @@ def _directive(thing: object) -> str:
     return "autofunction" if inspect.isroutine(unwrapped) else "autodata"
 
 
+@functools.cache
+def examples() -> dict[str, str]:
+    """The examples of `docs/python_examples.md`, by the public name in their headings."""
+    text = EXAMPLES.read_text(encoding="utf-8")
+    found = re.findall(
+        r"^### `giajax\.(\w+)`\n\n```python\n(.*?)```", text, re.DOTALL | re.MULTILINE
+    )
+    return dict(found)
+
+
 def _entry(name: str, thing: object) -> str:
     directive = _directive(thing)
     lines = [f".. {directive}:: {name}"]
@@ -71,29 +102,76 @@ def _entry(name: str, thing: object) -> str:
         lines.append("   :members:")
     if directive == "autodata":
         lines.append("   :no-value:")
+    short = name.removeprefix("giajax.")
+    if short in examples():
+        lines += ["", "   .. rubric:: Example", "", "   .. code-block:: python", ""]
+        lines += [f"      {line}".rstrip() for line in examples()[short].splitlines()]
     return "\n".join(lines) + "\n"
+
+
+def _table(names: Iterable[str], options: str = "") -> str:
+    """Names with summaries, and with signatures unless the options say otherwise."""
+    return f".. autosummary::\n{options}\n" + "".join(f"   {name}\n" for name in names)
+
+
+def _doc(room: str) -> tuple[str, str]:
+    """The first line of what a room says of itself, and the rest."""
+    module = importlib.import_module(f"giajax.{room}")
+    first, _, rest = inspect.cleandoc(module.__doc__ or "").partition("\n")
+    return first, rest
 
 
 def _room(room: str) -> str:
     """The page of a room."""
-    module = importlib.import_module(f"giajax.{room}")
-    things = _exported(room)
-    names = {
-        f"giajax.{name}" if name in dir(giajax) else f"giajax.{room}.{name}": thing
-        for name, thing in things.items()
-    }
+    names = {_public(room, name): thing for name, thing in _exported(room).items()}
     ordered = sorted(names, key=lambda name: (name.count("."), name.lower()))
-    table = "".join(f"   {name}\n" for name in ordered)
     entries = "\n".join(_entry(name, names[name]) for name in ordered)
-    first, _, rest = inspect.cleandoc(module.__doc__ or "").partition("\n")
-    return (
-        f"# giajax.{room}\n\n```{{eval-rst}}\n{first}\n{rest}\n\n"
-        f".. autosummary::\n   :nosignatures:\n\n{table}\n{entries}```\n"
+    first, rest = _doc(room)
+    # Signatures follow on the same page.
+    table = _table(ordered, "   :nosignatures:\n")
+    return f"# giajax.{room}\n\n```{{eval-rst}}\n{first}\n{rest}\n\n{table}\n{entries}```\n"
+
+
+def _public(room: str, name: str) -> str:
+    """A name of a room as it is imported."""
+    return f"giajax.{name}" if name in dir(giajax) else f"giajax.{room}.{name}"
+
+
+def topics() -> dict[str, list[str]]:
+    """The public names that are no modules, by topic."""
+    left = {
+        f"giajax.{name}": room
+        for room in rooms()
+        for name in _exported(room)
+        if name in dir(giajax)
+    }
+    found = {}
+    for title, of in _TOPICS.items():
+        found[title] = [
+            name
+            for name, room in left.items()
+            if any(f"{room}.".startswith(f"{one}.") for one in of)
+        ]
+        left = {name: room for name, room in left.items() if name not in found[title]}
+    assert not left, f"name their rooms in _TOPICS: {left}"
+    return found
+
+
+def _index() -> str:
+    """The first page: public names by topic, and modules by what they hold."""
+    parts = [_INTRODUCTION]
+    for title, names in topics().items():
+        table = _table(sorted(names, key=str.lower))
+        parts.append(f"## {title}\n\n```{{eval-rst}}\n{table}```\n")
+    rows = "".join(
+        f"| [`giajax.{room}`]({room}.md) | {cell(_doc(room)[0])} |\n" for room in rooms()
     )
+    parts.append(f"## Modules\n\n| module | what it has |\n| --- | --- |\n{rows}")
+    contents = "\n".join(rooms())
+    parts.append(f"```{{toctree}}\n:hidden:\n\n{contents}\n```\n")
+    return "\n".join(parts)
 
 
 def pages() -> dict[str, str]:
     """The text of each page by its name."""
-    contents = "\n".join(rooms())
-    index = f"{_INTRODUCTION}\n```{{toctree}}\n:maxdepth: 1\n\n{contents}\n```\n"
-    return {"index": index, **{room: _room(room) for room in rooms()}}
+    return {"index": _index(), **{room: _room(room) for room in rooms()}}

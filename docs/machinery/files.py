@@ -55,10 +55,10 @@ def _rows(section: type[Section]) -> Iterator[str]:
         if isinstance(extra, dict):
             preset = extra.get("preset")
             value = "" if preset is None else f"`{json.dumps(preset)}`"
-            must, meaning = (_cell(text) for text in (extra["must"], field.description or ""))
+            must, meaning = (cell(text) for text in (extra["must"], field.description or ""))
             yield f"| `{name}` | {must} | {value} | {meaning} |"
 
 
-def _cell(text: str) -> str:
-    """Text of a cell, in which brackets are no link."""
+def cell(text: str) -> str:
+    """Text of a cell of a table, in which brackets are no link."""
     return text.replace("|", r"\|").replace("[", r"\[").replace("]", r"\]")

@@ -1,19 +1,95 @@
-"""Notebooks as pages: their text and their code. Nothing is executed: they have no outputs."""
+"""Notebooks as pages: their text, their code, and what it prints and draws.
 
-import json
+Notebooks are stored without outputs. Each is executed once and its outputs are kept in
+`build/notebooks` until the notebook, the source of giajax or the constraints change. With
+GIAJAX_SHORT in the environment its short form is executed, and is kept separately: CI builds the
+site with it, and the tests of the notebooks then use the same executions.
+"""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import nbformat
+from nbclient import NotebookClient
+
+ROOT = Path(__file__).resolve().parents[2]
+KEPT = ROOT / "build" / "notebooks"
+
+# Kernels keep compiled programs and need no display; the last one avoids a warning of Jupyter.
+_VARIABLES = {
+    "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".jax_cache"),
+    "MPLBACKEND": "agg",
+    "JUPYTER_PLATFORM_DIRS": "1",
+}
 
 
-def paths(root: Path) -> list[Path]:
+def paths(root: Path = ROOT) -> list[Path]:
     """The notebooks of the project."""
     return sorted((root / "notebooks").glob("*.ipynb"))
 
 
-def markdown(text: str) -> str:
-    """A notebook as Markdown."""
+def executed(path: Path, kept: Path = KEPT) -> Any:
+    """A notebook with its outputs: as it was kept, or from a kernel in an empty folder.
+
+    Raises:
+        nbclient.exceptions.CellExecutionError: a cell raises; nothing is kept.
+    """
+    form = "short" if "GIAJAX_SHORT" in os.environ else "full"
+    place = kept / f"{path.stem}-{form}-{_key(path)}.ipynb"
+    if place.exists():
+        return nbformat.read(place, as_version=4)
+    notebook = nbformat.read(path, as_version=4)
+    with TemporaryDirectory() as folder:
+        resources = {"metadata": {"path": folder}}
+        client = NotebookClient(notebook, timeout=3600, kernel_name="python3", resources=resources)
+        client.execute(env=_VARIABLES | os.environ)
+    kept.mkdir(parents=True, exist_ok=True)
+    # Another process may do the same at the same time, or read: each sees a whole file.
+    own = place.with_suffix(f".{os.getpid()}")
+    nbformat.write(notebook, own)
+    own.replace(place)
+    for old in {*kept.glob(f"{path.stem}-{form}-*.ipynb")} - {place}:
+        old.unlink()
+    return notebook
+
+
+def _key(path: Path) -> str:
+    """What the outputs of a notebook depend on, as a checksum."""
+    found = hashlib.sha256()
+    for each in (path, ROOT / "constraints.txt", *sorted((ROOT / "src").rglob("*.py"))):
+        found.update(each.read_bytes())
+    return found.hexdigest()[:16]
+
+
+def pages(of: list[Path]) -> list[str]:
+    """Executed notebooks as Markdown, two kernels at a time."""
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(lambda path: markdown(executed(path)), of))
+
+
+def markdown(notebook: Any) -> str:
+    """A notebook as Markdown; pictures are within the text."""
     parts = []
-    for cell in json.loads(text)["cells"]:
-        source = "".join(cell["source"])
-        code = cell["cell_type"] == "code"
-        parts.append(f"```python\n{source}\n```" if code else source)
+    for cell in notebook.cells:
+        code = cell.cell_type == "code"
+        parts.append(f"```python\n{cell.source}\n```" if code else cell.source)
+        parts += _shown(cell.outputs) if code else []
     return "\n\n".join(parts) + "\n"
+
+
+def _shown(outputs: list[Any]) -> Iterator[str]:
+    """What a cell printed, and the richest form of what it showed."""
+    for output in outputs:
+        data = {"text/plain": output.text} if output.output_type == "stream" else output.data
+        if "image/png" in data:
+            picture = "".join(data["image/png"].split())
+            yield f"![Drawn by the code above](data:image/png;base64,{picture})"
+        elif "text/html" in data:
+            yield f'```{{raw}} html\n<div class="table-wrapper">{data["text/html"]}</div>\n```'
+        else:
+            yield f"```text\n{data['text/plain'].rstrip()}\n```"

@@ -1,12 +1,19 @@
-"""The pictures of README and pages, by the functions that giajax draws with.
+"""The pictures of README and pages, by the commands that the gallery shows below them.
 
-python -m docs.machinery.pictures            all of them, into docs/pictures, in minutes
-python -m docs.machinery.pictures arm.gif    some
+python -m docs.machinery.pictures            all of them, into docs/pictures, in many minutes
+python -m docs.machinery.pictures fig5.png   some
+
+The last command below a picture ends with a comment: the file that it draws, in `giajax-out`. What
+no command draws is drawn here.
 """
 
+import contextlib
+import re
+import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import jax
 import jax.numpy as jnp
@@ -15,35 +22,23 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 
 import giajax
 from evidence._tracking import DELAY, INTENSITY, LENGTH_SCALE, MEAN, recorded
-from giajax.apps.experiments import figure_12, one_link
-from giajax.apps.filling import curve_figure, filling_curve, filling_figure
-from giajax.apps.joint import correction_figure, equilibria_figure, equilibria_table, joint_figure
-from giajax.apps.life import life_figure, live
-from giajax.apps.mission import Mission, Operator, mission_figure
-from giajax.apps.paper import explained, explanations_figure, reproduce
-from giajax.apps.planning import Through, plan_command, plan_figure, plan_rows
-from giajax.apps.shaping import Command, shape_command, shaping_figure
+from giajax.apps.experiments import one_link
+from giajax.apps.mission import Mission, Operator
+from giajax.apps.paper import explained, explanations_figure
+from giajax.apps.planning import Through, plan_command, plan_figure
 from giajax.apps.synthetic import DECAY
 from giajax.apps.tracking import Air, Unknown, track_figure, usual_places
-from giajax.apps.unrolling import unroll, unrolling_figure
 from giajax.apps.wind import first_guess
-from giajax.mechanics.joint import LARGEST_ANGLE, JointPair
-from giajax.mechanics.unrolling import Unrolling
-from giajax.report import (
-    correlation_figure,
-    draw_scene,
-    new_figure,
-    plain,
-    recorded_figure,
-    residuals_figure,
-    sensitivity_figure,
-    to_png,
-)
+from giajax.cli import main as command
+from giajax.report import draw_scene, new_figure, plain, to_png
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "pictures"
+GALLERY = ROOT / "docs" / "gallery.md"
 
-_NOISE = 0.01  # m, of a camera
+_SHOWN = re.compile(
+    r"!\[[^\]]+\]\(pictures/([\w.]+)\)$.*?^```\n(.*?)^```$", re.DOTALL | re.MULTILINE
+)
 _PACE = 2  # times as fast as the arm
 
 
@@ -78,88 +73,12 @@ def _animated() -> None:
     animation.save(FOLDER / "arm.gif", writer=PillowWriter(fps=round(rate)), dpi=80)
 
 
-def _fit() -> None:
-    """The demonstration run and its fit."""
-    run = giajax.read_run(ROOT / "data" / "synthetic" / "base_step.csv")
-    result = giajax.fit(giajax.model_for([run]), run)
-    predicted = giajax.predict(result.model, run)
-    (record,) = result.runs
-    _save("fit", to_png(recorded_figure(result, run, predicted, record)))
-    _save("residuals", to_png(residuals_figure(result, [run], [predicted])))
-
-
-def _correlation() -> None:
-    """A fit of the camera's frame beside the arm: what the data can tell apart."""
-    result = giajax.FitTask.load(ROOT / "fits" / "camera_frame.toml").run(check=False)
-    _save("correlation", to_png(correlation_figure(result)))
-
-
-def _joint() -> None:
-    """One joint at rest."""
-    pair = JointPair()
-    end = round(float(np.rad2deg(LARGEST_ANGLE)))
-    holding, _ = equilibria_table(pair, np.linspace(-end, end, 2 * end + 1))
-    _save("equilibria", to_png(equilibria_figure(pair, holding, 20.0)))
-    _save("corrections", to_png(correction_figure(pair.joint)))
-    _save("joint", to_png(joint_figure(pair.joint, (60.0, 10.0, -2.0, -30.0))))
-
-
-def _sensitivity() -> None:
-    """When and where the paper's experiment shows C_D."""
-    times = np.linspace(0.0, 25.0, 251)
-    command = np.interp(times, [0.5, 1.5], [0.0, np.deg2rad(30.0)])
-    run = giajax.apps.synthetic.planned(times, {"joint01_command": command}, links=20)
-    found = giajax.sensitivity(
-        giajax.ArmModel(giajax.takeichi_20m()), run, ["air.drag_coefficient"]
-    )
-    _save("sensitivity", to_png(sensitivity_figure(found, _NOISE, "What each link tells of C_D")))
-
-
-def _hysteresis() -> None:
-    """The paper's 1-link experiment on a simulated joint."""
-    _save("fig12", to_png(figure_12(one_link())))
-
-
 def _wrinkling() -> None:
     """The explanations of fig. 12 that are nearest to the text."""
     study = one_link()
     trial = study.trial("paper", "none")
     loop = trial.angles[trial.history.measured]
-    _save("wrinkling", to_png(explanations_figure(explained(loop), loop)))
-
-
-def _filling() -> None:
-    """The arm filled with helium, and which port goes with which supply."""
-    _save("filling", to_png(filling_figure(giajax.fill())))
-    _save("filling_curve", to_png(curve_figure(filling_curve())))
-
-
-def _unrolling() -> None:
-    """The arm unrolled by gas, at the flow that fills it in the paper's time."""
-    found = unroll(Unrolling(order="by gas"))
-    _save("unrolling", to_png(unrolling_figure(found)))
-
-
-def _life() -> None:
-    """The mock-up from its roll on."""
-    definition = giajax.Definition.load(ROOT / "missions" / "naraha.toml")
-    _save("life", to_png(life_figure(live(Mission.from_definition(definition)))))
-
-
-def _mission() -> None:
-    """The mock-up, once."""
-    definition = giajax.Definition.load(ROOT / "missions" / "naraha.toml")
-    mission = Mission.from_definition(definition)
-    _save("mission", to_png(mission_figure(mission, mission.fly(1))))
-
-
-def _shaping() -> None:
-    """A move of the base joint, unshaped and shaped."""
-    arm = giajax.ArmModel(giajax.takeichi_20m_full())
-    angles = np.zeros((2, 20))
-    angles[1, 0] = np.deg2rad(5.0)
-    found = shape_command(arm, Command(np.array([0.0, 30.0]), angles))
-    _save("shaping", to_png(shaping_figure(found, "5 degrees within 30 s, unshaped and shaped")))
+    (FOLDER / "wrinkling.png").write_bytes(to_png(explanations_figure(explained(loop), loop)))
 
 
 def _moves() -> None:
@@ -170,9 +89,8 @@ def _moves() -> None:
     operator = Operator.from_section(mission.section, mission.model.arm.count)
     target = Through(approach=np.asarray(operator.approach))
     found = plan_command(mission.model, target)
-    for row in plan_rows(found):
-        print(row)
-    _save("moves", to_png(plan_figure(found, "Through the opening as fast as the limits allow")))
+    title = "Through the opening as fast as the limits allow"
+    (FOLDER / "moves.png").write_bytes(to_png(plan_figure(found, title)))
 
 
 def _tracking() -> None:
@@ -183,47 +101,58 @@ def _tracking() -> None:
     air = Air(wind, 0.1, places=usual_places(model))
     found = giajax.track(model, run, unknown=Unknown(air=air))
     title = "Eight links in gusts, the tip half a second late"
-    _save("tracking", to_png(track_figure(found, title)))
+    (FOLDER / "tracking.png").write_bytes(to_png(track_figure(found, title)))
 
 
-def _paper() -> None:
-    """A figure of the paper, made again."""
-    for name, made in reproduce(["fig5"], ROOT / "data" / "paper"):
-        _save(name, to_png(made.figure))
-
-
-def _save(name: str, contents: bytes) -> None:
-    (FOLDER / f"{name}.png").write_bytes(contents)
-
-
-PICTURES: dict[str, Callable[[], None]] = {
+DRAWN_HERE: dict[str, Callable[[], None]] = {
     "arm.gif": _animated,
-    "fit.png residuals.png": _fit,
-    "correlation.png": _correlation,
-    "equilibria.png corrections.png joint.png": _joint,
-    "sensitivity.png": _sensitivity,
-    "fig12.png": _hysteresis,
     "wrinkling.png": _wrinkling,
-    "filling.png filling_curve.png": _filling,
-    "unrolling.png": _unrolling,
-    "life.png": _life,
-    "mission.png": _mission,
-    "shaping.png": _shaping,
     "moves.png": _moves,
     "tracking.png": _tracking,
-    "fig5.png": _paper,
 }
-"""What makes which files."""
+"""What draws the pictures that no command draws."""
+
+
+def shown() -> dict[str, list[str]]:
+    """The command lines of the gallery by the picture that they draw."""
+    found = _SHOWN.findall(GALLERY.read_text(encoding="utf-8"))
+    return {name: block.replace("\\\n", "").splitlines() for name, block in found}
+
+
+def drawn(names: Iterable[str], folder: Path) -> Iterator[tuple[str, bytes]]:
+    """Pictures that commands of the gallery draw in an empty folder, by their names.
+
+    Raises:
+        RuntimeError: a command fails.
+    """
+    for source in ("data", "fits", "missions"):
+        (folder / source).symlink_to(ROOT / source)
+    done = []
+    for name in names:
+        lines = shown()[name]
+        for words in (shlex.split(line, comments=True) for line in lines):
+            if words not in done:
+                with contextlib.chdir(folder):
+                    status = command(words[1:])
+                if status:
+                    raise RuntimeError(f"{shlex.join(words)} ended with {status}")
+                done.append(words)
+        file = lines[-1].partition("# ")[2]
+        yield name, (folder / "giajax-out" / file).read_bytes()
 
 
 def main(wanted: list[str]) -> None:
-    """Make those that are wanted, or all."""
+    """Draw those that are wanted, or all."""
     jax.config.update("jax_enable_x64", True)
-    FOLDER.mkdir(exist_ok=True)
-    for names, make in PICTURES.items():
-        if not wanted or set(wanted) & set(names.split()):
-            make()
-            print(names, flush=True)
+    names = [name for name in shown() if not wanted or name in wanted]
+    for name in (name for name in names if name in DRAWN_HERE):
+        DRAWN_HERE[name]()
+        print(name, flush=True)
+    with TemporaryDirectory() as folder:
+        others = (name for name in names if name not in DRAWN_HERE)
+        for name, contents in drawn(others, Path(folder)):
+            (FOLDER / name).write_bytes(contents)
+            print(name, flush=True)
 
 
 if __name__ == "__main__":

@@ -36,11 +36,15 @@ def _page(path: Path) -> Path:
     return MADE / path.relative_to(ROOT).with_suffix(".md") if path in _outside() else path
 
 
+def _outside_texts() -> dict[Path, str]:
+    """The Markdown of each file from outside; every page has a title."""
+    of = notebooks.paths(ROOT)
+    texts = dict(zip(of, notebooks.pages(of), strict=True))
+    return {path: texts.get(path) or _text(path) for path in _outside()}
+
+
 def _text(path: Path) -> str:
-    """The Markdown of a file from outside; every page has a title."""
     text = path.read_text(encoding="utf-8")
-    if path.suffix == ".ipynb":
-        return notebooks.markdown(text)
     title = path.parent.name.replace("_", " ").capitalize()
     return text if text.startswith("# ") else f"# {title}\n\n{text}"
 
@@ -59,7 +63,8 @@ def linked(text: str, origin: Path, page: Path) -> str:
 
 def _pages() -> dict[Path, str]:
     """What is made at each build: the text of each page by its file."""
-    made = {_page(path): linked(_text(path), path, _page(path)) for path in _outside()}
+    texts = _outside_texts()
+    made = {_page(path): linked(text, path, _page(path)) for path, text in texts.items()}
     made[MADE / "commands.md"] = commands.page()
     made[MADE / "files.md"] = files.page()
     return made | {MADE / "api" / f"{name}.md": text for name, text in api.pages().items()}
