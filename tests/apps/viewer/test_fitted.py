@@ -1,5 +1,7 @@
 """The camera of every page with an arm: all of the arm is seen, and it fills half the window."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -25,7 +27,7 @@ CAMERA = """(() => {
 def lifted(count=9):
     """An arm of ten links that is lifted and turned, as a scene."""
     ends = np.arange(11.0)
-    lift = np.linspace(0.0, 0.5, count)
+    lift = np.linspace(0.0, 0.3, count)
     lines = []
     for link in range(10):
         points = np.zeros((count, 2, 3))
@@ -55,17 +57,19 @@ def fills(page, points):
     return inside and np.ptp(across) > 0.5 * window
 
 
-def check(page, points):
+def resize(page, width):
+    """The size of the window, in pixels of the page; few of the screen, which software draws."""
+    size = {"width": width, "height": 700, "deviceScaleFactor": 0.25, "mobile": False}
+    page.call("Emulation.setDeviceMetricsOverride", **size)
+
+
+def check(page, points, seconds=180.0):
     """At both widths, each after the other: a window that is resized, too."""
     for width in (*WIDTHS, WIDTHS[0]):
-        page.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width, height=900, deviceScaleFactor=1, mobile=False,
-        )  # fmt: skip
-        for _ in range(200):
-            page.evaluate("new Promise((after) => setTimeout(after, 100))")
-            if fills(page, points):
-                break
+        resize(page, width)
+        end = time.monotonic() + seconds
+        while not fills(page, points) and time.monotonic() < end:
+            time.sleep(0.1)
         across, inside, window = projected(page, points)
         assert inside, f"a part of the arm is outside of a window of {width} px"
         assert window == width
@@ -95,6 +99,7 @@ def test_an_outline_has_the_arm_at_every_sample():
 @pytest.fixture
 def page(browser, tmp_path):
     with opened(browser, tmp_path / "profile") as found:
+        resize(found, WIDTHS[0])
         yield found
 
 

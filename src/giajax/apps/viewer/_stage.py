@@ -88,8 +88,10 @@ def _listening_at(path: Path, page: Callable[[], bytes | None]) -> Iterator[None
 
             def answer(connection: Any, request: Any) -> Any:
                 answered = files(connection, request)
-                own = page() if request.path.partition("?")[0] == "/" else None
-                if answered is None or own is None:
+                # A request without an answer becomes a WebSocket.
+                if answered is None or request.path.partition("?")[0] != "/":
+                    return answered
+                if (own := page()) is None:
                     return answered
                 for name in ("Content-Length", "Content-Encoding"):
                     del answered.headers[name]

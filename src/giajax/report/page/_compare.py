@@ -107,7 +107,12 @@ def _drawn(
     scale = (_WIDTH - 2 * _MARGIN) / ((high - low) or 1.0)
     marks = []
     for index, one in enumerate(row.estimates):
-        about = {"across": _HEIGHT * (index + 0.5) + 3, "colour": _COLOURS[index % len(_COLOURS)]}
+        about: dict[str, Any] = {
+            "across": _HEIGHT * (index + 0.5) + 3,
+            "colour": _COLOURS[index % len(_COLOURS)],
+            "word": "",
+            "middle": None,
+        }
         if index in known:
             value, width = known[index]
             places = [_MARGIN + (at - low) * scale for at in (value - width, value, value + width)]
