@@ -130,4 +130,5 @@ def _ticks(low: float, high: float) -> list[float]:
     power = 10.0 ** np.floor(np.log10(rough))
     step = float(power * next(each for each in (1, 2, 5, 10) if each * power >= rough * (1 - 1e-9)))
     first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
-    return [float(step * k) for k in np.arange(first, last + 1)]
+    # Not minus zero.
+    return [float(step * k) + 0.0 for k in np.arange(first, last + 1)]
