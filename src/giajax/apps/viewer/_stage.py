@@ -119,7 +119,6 @@ RECORDED: Colour = (213, 94, 0)
 AIR: Colour = (0, 158, 115)
 CONTACT: Colour = (204, 51, 17)
 BUILDING: Colour = (176, 168, 158)
-EDGES: Colour = (91, 85, 78)
 BODIES: dict[str, Colour] = {
     "blue": (86, 140, 190),
     "orange": (222, 150, 60),
@@ -321,15 +320,6 @@ LAYERS = {
 }
 """What can be hidden, a folder of each show's scene, and what it is called."""
 
-# The edges of a cube of size 1 about the origin: from each corner along each axis, once.
-_EDGES = np.array(
-    [
-        [np.insert(corner, axis, end) for end in (-0.5, 0.5)]
-        for axis in range(3)
-        for corner in np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
-    ]
-)
-
 _BATCHED = ("batched_positions", "batched_wxyzs", "batched_scales", "batched_colors")
 
 _THREAD, _DOT, _LONGEST_ARROW = 0.002, 0.004, 0.15  # of the largest extent
@@ -500,12 +490,6 @@ class Stage:
                 vertices, brick().faces, color=BUILDING, flat_shading=True, opacity=0.75,
                 cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
-            self._api.add_line_segments(
-                f"{self._root}/surroundings/{number + 1} edges",
-                points=(_EDGES * size) @ block.axes.T + centre,
-                colors=EDGES,
-                line_width=1.5,
-            )
 
 
 # Between two shows, in extents of the widest; and how far off one looks from at first.
