@@ -1,11 +1,13 @@
 """What results side by side are compared by: their data in any order, and what they fitted."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import pytest
 
 from giajax.fitting import OwnEstimate, load_result
+from giajax.report import compare_page
 from giajax.studies import contrast
 
 EARLIER = Path(__file__).resolve().parents[1] / "earlier" / "muscle"
@@ -43,3 +45,25 @@ def test_recordings_are_the_same_in_another_order(of_two):
 def test_equal_states_of_two_runs_are_two(of_two):
     column = contrast(of_two, ["ab", "ba"]).columns[0]
     assert column.parameters == len(of_two[0].free) + 2
+
+
+def test_the_picture_of_a_parameter_has_an_axis_and_no_dot_of_what_is_undetermined(of_two):
+    first, second = of_two
+    path, estimate = next(
+        (path, one) for path, one in first.parameters.items() if one.free and one.standard_error
+    )
+    lost = dataclasses.replace(estimate, standard_error=None)
+    third = dataclasses.replace(second, parameters={**second.parameters, path: lost})
+    results, names = [first, second, third], ["a", "b", "c"]
+    page = compare_page(contrast(results, names), results).decode()
+    (picture,) = re.findall(
+        rf'<svg [^>]*aria-label="{re.escape(path)}[,"].*?</svg>', page, re.DOTALL
+    )
+    assert picture.count("<circle") == 2
+    assert picture.count("not determined") == 1
+    ticks = [float(text) for text in re.findall(r'text-anchor="middle">([^<]*)<', picture)]
+    assert len(ticks) > 1
+    value = next(row for row in contrast(results, names).rows if row.path == path)
+    reach = 2 * value.estimates[0].standard_error
+    low, high = value.estimates[0].value - reach, value.estimates[0].value + reach
+    assert all(low - 1e-9 * abs(low) <= tick <= high + 1e-9 * abs(high) for tick in ticks)

@@ -130,7 +130,7 @@ def serve(
     browser: bool,
     quiet: bool,
 ) -> None:
-    """Serve the page until Ctrl-C."""
+    """Serve the page until Ctrl-C, or until the operator ends the drive."""
     from ..apps.driving import Cockpit
 
     cockpit = Cockpit(session, camera, host=host, port=port)
@@ -139,7 +139,8 @@ def serve(
         say_served(cockpit, "drives the arm", ends, browser=browser, quiet=quiet)
         while not cockpit.wait(_KEPT_S):
             unfinished.add()
-        raise cockpit.failure or InputError(cockpit.error or "the drive is over")
+        if not cockpit.finished:
+            raise cockpit.failure or InputError(cockpit.error or "the drive is over")
     except KeyboardInterrupt:
         if not quiet:
             typer.echo("\nsaving the drive")

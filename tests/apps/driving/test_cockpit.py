@@ -177,6 +177,20 @@ def test_a_drive_that_breaks_off_is_over(cockpit, monkeypatch):
     assert isinstance(cockpit.failure, ZeroDivisionError)
 
 
+def test_the_operator_ends_the_drive(cockpit):
+    with socket_of(cockpit) as page:
+        assert told(page, "pose")["ready"]
+        page.send(json.dumps({"type": "preset", "name": "raised"}))
+        eventually(lambda: cockpit.session.operator.command[0] > 0)
+        while told(page, "pose")["ready"]:
+            pass
+        page.send(json.dumps({"type": "end"}))
+        assert "is being saved" in told(page, "ended")["text"]
+    assert cockpit.ended
+    assert cockpit.finished
+    assert cockpit.error is None
+
+
 def test_a_message_that_says_nothing_is_answered(cockpit):
     with socket_of(cockpit) as page:
         for text, said in (

@@ -228,7 +228,7 @@ def test_the_gate_is_the_only_door(show):
 def test_a_viser_that_listens_elsewhere_is_not_used(show, monkeypatch):
     """One that does not ask `websockets` for its socket in the way that is known."""
     before = open_ports()
-    monkeypatch.setattr(_backend, "_listening_at", lambda _: nullcontext())
+    monkeypatch.setattr(_backend, "_listening_at", lambda *_: nullcontext())
     with pytest.raises(InputError, match=r"opens a port that other accounts can reach: pip inst"):
         Viewer([show])
     assert open_ports() == before

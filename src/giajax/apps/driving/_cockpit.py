@@ -20,6 +20,7 @@ from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...simulation import at_rest
 from ..viewer import LOOPBACK, Gate, LiveStage, PrivateSocket
+from ._operator import NOT_YET
 from ._session import Pose, Session
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ _AT_ONCE = 2
 
 _LONGEST_MESSAGE = 1 << 16  # longer than anything that the page says
 TAKEN_OVER = "another page has taken over"
+ENDED = "the drive has ended and is being saved: its command says where"
 
 
 class Cockpit:
@@ -110,6 +112,7 @@ class Cockpit:
         self.camera = camera
         self.error: str | None = None
         self.failure: Exception | None = None
+        self.finished = False
         # What pages said, with the time at which it came; the arm's own thread takes it in.
         self._inbox: deque[tuple[ServerConnection, dict[str, Any], float]] = deque()
         self._answers: deque[tuple[ServerConnection, str]] = deque()
@@ -146,7 +149,7 @@ class Cockpit:
 
     @property
     def ended(self) -> bool:
-        """Whether the drive is over: it was closed, or the arm became infinite (`error`)."""
+        """Whether the drive is over: closed, `finished` by the operator, or by an `error`."""
         return self._ended.is_set()
 
     def wait(self, seconds: float) -> bool:
@@ -193,6 +196,10 @@ class Cockpit:
             connection, message, came = self._inbox.popleft()
             if connection is not self._operator:
                 continue
+            if message.get("type") == "end":
+                self.finished = True
+                self._ended.set()
+                return
             try:
                 self.session.receive(message, came)
             except InputError as error:
@@ -275,7 +282,8 @@ class Cockpit:
                         connection.send(json.dumps({"type": "error", "text": answer}))
                 self._ended.wait(1 / _TOLD)
             if self._ended.is_set():
-                connection.send(json.dumps({"type": "ended", "text": self.error or ""}))
+                text = self.error or (ENDED if self.finished else "")
+                connection.send(json.dumps({"type": "ended", "text": text}))
 
     def _facts(self) -> dict[str, Any]:
         """What does not change."""
@@ -310,6 +318,8 @@ class Cockpit:
             "gusts": self.session.gusty,
             "compensation": self.session.compensated,
             "stopped": pose.stopped,
+            "ready": pose.stopped == NOT_YET,
+            "bounds": self._stage.bounds.round(1).tolist(),
             "lost": round(pose.lost, 2),
             "centre": np.asarray(view.centre).tolist(),
             "axes": np.asarray(view.axes).T.tolist(),

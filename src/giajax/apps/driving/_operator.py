@@ -22,6 +22,9 @@ _SOUTH, _EAST = 0, 1
 # At full deflection, rad/s: three joints together turn the arm by 9 deg in a second.
 _RATE = float(np.deg2rad(3.0))
 
+# Angles of presets, rad, in equal parts over the joints of a third of the arm.
+_RAISED, _LOWERED, _ASIDE = (float(np.deg2rad(angle)) for angle in (30.0, 15.0, 30.0))
+
 
 @dataclasses.dataclass(frozen=True)
 class PadMapping:
@@ -56,6 +59,7 @@ class PadMapping:
         """Of an arm whose odd joints pitch and whose even joints yaw, on a standard pad.
 
         The left stick bends the third of the arm at its base, the right one the third at its tip.
+        Presets set the joints of such a third, and straighten all others.
         """
         third = max(joints // 3, 2)
 
@@ -71,8 +75,15 @@ class PadMapping:
             _RIGHT_Y: turned(start, joints, -_RATE),
             _RIGHT_X: turned(start + 1, joints, -_RATE),
         }
-        straight = {"straight": np.zeros(joints)}
-        return cls(axes, straight, {_SOUTH: "straight"}, frozenset({_EAST}))
+        presets = {
+            "straight": np.zeros(joints),
+            "raised": turned(0, third, _RAISED / len(range(0, third, 2))),
+            "lowered": turned(0, third, -_LOWERED / len(range(0, third, 2))),
+            "to the left": turned(1, third, _ASIDE / len(range(1, third, 2))),
+            "to the right": turned(1, third, -_ASIDE / len(range(1, third, 2))),
+            "tip up": turned(start, joints, _RAISED / max(len(range(start, joints, 2)), 1)),
+        }
+        return cls(axes, presets, {_SOUTH: "straight"}, frozenset({_EAST}))
 
     @classmethod
     def load(cls, path: str | Path, joints: int) -> Self:

@@ -1,5 +1,6 @@
 """An arm in three dimensions, in a browser: a live page, and a page that plays without a server."""
 
+from ._beside import outline as outline
 from ._gate import (
     LOOPBACK as LOOPBACK,
     Gate as Gate,

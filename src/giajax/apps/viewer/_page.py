@@ -10,6 +10,7 @@ import numpy as np
 
 from ...models import Scene
 from ...runtime.page_policy import VISER, with_policy
+from ._beside import about, beside, viser_page
 from ._gate import LOOPBACK, Gate
 from ._show import Posable, Show, frames, span
 from ._stage import LAYERS, Backend, Stage, offsets, stages
@@ -115,6 +116,7 @@ class Viewer:
         self.address, self.is_open = self._gate.address, self._gate.is_open
         self._overlay = overlay
         self.stages: list[Stage] = stages(self.server, self.shows, overlay=overlay)
+        self._backend.page = lambda: beside(viser_page(), about(self.stages, live=True))
         self._ended = threading.Event()
         self._build()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -255,7 +257,11 @@ class Viewer:
 
 
 class LiveStage:
-    """A page of viser with an arm that is moved from elsewhere; the scene is of one sample."""
+    """A page of viser with an arm that is moved from elsewhere; the scene is of one sample.
+
+    Attributes:
+        bounds: least and greatest coordinates of where the arm has been, m.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self._backend = Backend()
@@ -264,6 +270,8 @@ class LiveStage:
         (self._stage,) = stages(self._server, [Show("arm", scene)])
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
         self._server.gui.main_panel.minimize()
+        self.bounds = scene.extent()
+        self._backend.page = lambda: beside(viser_page(), about([self._stage], live=True))
 
     @property
     def watched(self) -> bool:
@@ -275,6 +283,8 @@ class LiveStage:
         with self._server.atomic():
             self._stage.show = Show("arm", scene)
             self._stage.draw(0)
+        low, high = scene.extent()
+        self.bounds = np.stack([np.minimum(self.bounds[0], low), np.maximum(self.bounds[1], high)])
 
     def close(self) -> None:
         """End the page."""
@@ -304,6 +314,7 @@ def recording(shows: Sequence[Show], *, overlay: bool = False, dark: bool = Fals
                 stage.draw(stage.show.sample_at(float(time)))
             if index + 1 < len(times):
                 recorder.insert_sleep(float(times[index + 1] - time))
-        return with_policy(recorder.as_html(dark).encode(), VISER)
+        page = beside(recorder.as_html(dark).encode(), about(drawn, dark=dark))
+        return with_policy(page, VISER)
     finally:
         backend.close()

@@ -3,7 +3,7 @@
 import contextlib
 import io
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -40,11 +40,16 @@ class Backend:
         check_viser()
         import viser
 
+        # What is served instead of the page of viser, once it is known.
+        self.page: Callable[[], bytes] | None = None
         self._place = PrivateSocket()
         self.socket = self._place.path
         try:
             # It would print its own address, which is not the one of the page.
-            with contextlib.redirect_stdout(io.StringIO()), _listening_at(self.socket):
+            with (
+                contextlib.redirect_stdout(io.StringIO()),
+                _listening_at(self.socket, lambda: self.page and self.page()),
+            ):
                 self.server: ViserServer = viser.ViserServer(
                     host="127.0.0.1", port=0, label="giajax", verbose=False
                 )
@@ -67,8 +72,8 @@ class Backend:
 
 
 @contextlib.contextmanager
-def _listening_at(path: Path) -> Iterator[None]:
-    """Have viser listen at a path.
+def _listening_at(path: Path, page: Callable[[], bytes | None]) -> Iterator[None]:
+    """Have viser listen at a path, and serve a page in place of its own where there is one.
 
     It offers a host and a port alone, and authenticates no connection. So the function
     that it listens by is exchanged while it starts; that this took place is checked afterwards.
@@ -79,6 +84,23 @@ def _listening_at(path: Path) -> Iterator[None]:
         usual = server.serve
 
         def at_path(handler: Any, host: Any = None, port: Any = None, **options: Any) -> Any:
+            files = options.get("process_request")
+
+            def answer(connection: Any, request: Any) -> Any:
+                answered = files(connection, request)
+                # A request without an answer becomes a WebSocket.
+                if answered is None or request.path.partition("?")[0] != "/":
+                    return answered
+                if (own := page()) is None:
+                    return answered
+                for name in ("Content-Length", "Content-Encoding"):
+                    del answered.headers[name]
+                answered.headers["Content-Length"] = str(len(own))
+                answered.body = own
+                return answered
+
+            if files is not None:
+                options["process_request"] = answer
             return usual(handler, unix=True, path=str(path), **options)
 
         server.serve = at_path  # type: ignore[assignment, misc]
@@ -106,7 +128,14 @@ BODIES: dict[str, Colour] = {
 """Of the balloons of one show after the other."""
 
 # From an empty muscle to the highest pressure: blue, white, red would vanish on the page.
-_EMPTY, _FULL = np.array([70.0, 90.0, 160.0]), np.array([215.0, 48.0, 39.0])
+EMPTY: Colour = (70, 90, 160)
+FULL: Colour = (215, 48, 39)
+
+
+def marker_colour(body: Colour) -> Colour:
+    """Of the markers of a model in bodies of a colour: darker, or they would not be seen."""
+    red, green, blue = (int(0.45 * part) for part in body)
+    return red, green, blue
 
 
 def thread_colours(scene: Scene, sample: int, highest: float) -> Int[np.ndarray, "piece 3"]:
@@ -118,7 +147,7 @@ def thread_colours(scene: Scene, sample: int, highest: float) -> Int[np.ndarray,
         colour = np.array(INK, dtype=float)
         if line.pressure is not None and highest > 0:
             share = np.clip(line.pressure[sample] / highest, 0, 1)
-            colour = (1 - share) * _EMPTY + share * _FULL
+            colour = (1 - share) * np.array(EMPTY) + share * np.array(FULL)
         colours += [colour] * (line.points.shape[1] - 1)
     return np.array(colours).reshape(-1, 3).astype(np.uint8)
 
@@ -307,10 +336,11 @@ class Stage:
     ) -> None:
         self.show = show
         self.scale = scale
+        self.offset = offset
         self._api = api
         self._root = f"/{index + 1} {show.name.replace('/', '_')}"
         self._name = list(BODIES)[index % len(BODIES)]
-        self._colour = BODIES[self._name]
+        self.colour = BODIES[self._name]
         self._base = api.add_frame(self._root, show_axes=False, position=offset)
         self._layers = {
             layer: api.add_frame(f"{self._root}/{layer}", show_axes=False)
@@ -345,26 +375,25 @@ class Stage:
 
     def place(self, offset: Float[np.ndarray, "3"]) -> None:
         """Put the base of the show elsewhere, m."""
+        self.offset = offset
         self._base.position = offset
 
     def draw(self, sample: int) -> None:
         """Everything that moves, at a sample."""
         scene = self.show.scene
         bodies = segments(scene, sample, bodies=True)
-        self._tubes("balloons/links", bodies, self._colour, opacity=0.55)
+        self._tubes("balloons/links", bodies, self.colour, opacity=0.55)
         centres, radii = joints(scene, sample)
         self._balls("balloons/joints", centres, 0.35 * radii[:, None], INK)
         threads = segments(scene, sample, bodies=False)
         threads[2][:] = _THREAD * self.scale.extent
         self._tubes("muscles/threads", threads, thread_colours(scene, sample, self.scale.pressure))
-        # Dots within bodies are darker than these.
-        dark = [int(0.45 * part) for part in self._colour]
-        self._points("markers/points", scene.markers, sample, dark)
-        self._points("recorded/points", self.show.recorded, sample, RECORDED)
+        self._points("markers/points", scene.markers, sample, marker_colour(self.colour))
+        self._points("recorded/points", self.show.recorded, sample, RECORDED, larger=1.5)
         if (bands := self.show.bands) is not None:
             # About the balloon and not about its axis: most bands would be hidden in it.
             at = bands.centres[sample], bands.halves[sample] + radii[:, None]
-            self._balls("bands/ellipsoids", *at, self._colour, opacity=0.25)
+            self._balls("bands/ellipsoids", *at, self.colour, opacity=0.25)
         if caption := self.show.caption_at(sample):
             self._caption(f"{caption}, {self.show.clock[sample]:.0f} s")
         for arrows in scene.arrows:
@@ -400,13 +429,15 @@ class Stage:
             sizes = np.array(np.broadcast_to(halves, centres.shape))
             self._batch(name, ball(), (centres, turns, sizes), colour, opacity)
 
-    def _points(self, name: str, markers: Any, sample: int, colour: Any) -> None:
+    def _points(
+        self, name: str, markers: Any, sample: int, colour: Any, larger: float = 1.0
+    ) -> None:
         if not markers:
             return
         points = np.stack([each[sample] for each in markers.values()])
         there = np.all(np.isfinite(points), axis=1)
         # One that is missing is made so small that it is not seen: batches keep their size.
-        radii = np.where(there, _DOT * self.scale.extent, 1e-9)
+        radii = np.where(there, larger * _DOT * self.scale.extent, 1e-9)
         self._balls(name, np.where(there[:, None], points, 0.0), radii[:, None], colour)
 
     def _batch(
@@ -461,8 +492,11 @@ class Stage:
             )  # fmt: skip
 
 
-# Between two shows, in extents of the widest; and how far off one looks from.
+# Between two shows, in extents of the widest; and how far off one looks from at first.
 _GAP, _DISTANCE = 0.25, 1.0
+
+VIEWED_FROM = np.array([0.25, -1.0, 0.3])
+"""The direction of the camera: from the right, a little from above."""
 
 _FIELD = 0.75  # vertical angle of view, rad
 
@@ -490,13 +524,13 @@ def stages(server: "ViserServer", shows: Sequence[Show], *, overlay: bool = Fals
     low, high = bounds(shows)
     low, high = low + places.min(axis=0), high + places.max(axis=0)
     _grid(server, low, high)
-    # About what moves, and what stands around and has an end: from the right, a little from above.
+    # About what moves, and what stands around and has an end, until the page fits its own window.
     extent = float(np.max(high - low))
     blocks = [ends(block, extent) for show in shows for block in show.scene.blocks]
     corners = np.concatenate([[low, high], *(each for each in blocks if each is not None)])
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     middle, size = (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
-    ahead = np.array([0.25, -1.0, 0.3])
+    ahead = VIEWED_FROM
     camera: Any = server.initial_camera
     camera.look_at = tuple(middle)
     camera.position = tuple(middle + ahead / np.linalg.norm(ahead) * size * _DISTANCE)
@@ -505,10 +539,15 @@ def stages(server: "ViserServer", shows: Sequence[Show], *, overlay: bool = Fals
     return drawn
 
 
+def grid_step(extent: float) -> float:
+    """Between two lines of the floor below a scene of an extent, m."""
+    return 1.0 if extent > 3 else 0.1
+
+
 def _grid(server: "ViserServer", low: np.ndarray, high: np.ndarray) -> None:
     """A floor of metres below everything that moves."""
     size, middle = high - low, (low + high) / 2
-    step = 1.0 if np.max(size) > 3 else 0.1
+    step = grid_step(float(np.max(size)))
     across = np.ceil((size[:2] + 2 * step) / step / 2) * 2 * step
     server.scene.add_grid(
         "/grid",

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from ...fitting import FitResult
 from ...studies import Contrast, ContrastRow
 from .. import BLUE, GREEN, GREY, INK, VERMILLION, contrast_tables
@@ -11,8 +13,8 @@ from .._views import Table
 from ._render import rendered, some_of
 from ._report import opening
 
-# Width of the picture of one parameter and height of a result in it, pixels.
-_WIDTH, _HEIGHT = 360.0, 15.0
+# Width of the picture of one parameter, of its margins, and height of a result in it, pixels.
+_WIDTH, _MARGIN, _HEIGHT = 360.0, 24.0, 15.0
 
 _COLOURS = (BLUE, VERMILLION, GREEN, INK, GREY, PURPLE, ORANGE, SKY)
 
@@ -36,8 +38,10 @@ def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
         openings=list(zip(names, map(opening, results), strict=True)),
         parameters=Table(*parameters, 2),
         whole=Table(*whole, 1),
-        pictures=[(row.path, bars) for row in found.rows if len(bars := _bars(row, names)) > 1],
-        height=_HEIGHT * len(names) + 6,
+        pictures=[
+            (row.path, row.unit, *drawn) for row in found.rows if (drawn := _drawn(row, names))
+        ],
+        bottom=_HEIGHT * len(names) + 6,
         width=_WIDTH,
         apart=apart,
         notes=found.notes,
@@ -85,26 +89,50 @@ def _apart(found: Contrast) -> list[str]:
     ]
 
 
-def _bars(row: ContrastRow, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Values with two standard errors on an axis of their own, in pixels; held ones are ticks."""
-    known = [
-        (index, one.value, 2 * (one.standard_error or 0.0))
+def _drawn(
+    row: ContrastRow, names: Sequence[str]
+) -> tuple[list[dict[str, Any]], list[tuple[float, str]]] | None:
+    """What a picture of a parameter has, in pixels: a mark for each result, and the ticks below.
+
+    A value has a bar of two standard errors, a held one is a tick, and one that is free and not
+    determined is a word. None where fewer than two results have a value, or none has an error.
+    """
+    known = {
+        index: (one.value, 2 * (one.standard_error or 0.0))
         for index, one in enumerate(row.estimates)
-        if one is not None and isinstance(one.value, float)
-    ]
-    if not any(width for _, _, width in known):
-        return []
-    low = min(value - width for _, value, width in known)
-    high = max(value + width for _, value, width in known)
-    scale = (_WIDTH - 20) / ((high - low) or 1.0)
-    return [
-        {
-            "low": 10 + (value - width - low) * scale,
-            "middle": 10 + (value - low) * scale,
-            "high": 10 + (value + width - low) * scale,
+        if one is not None
+        and isinstance(one.value, float)
+        and (one.standard_error is not None or not one.free)
+    }
+    if len(known) < 2 or not any(width for _, width in known.values()):
+        return None
+    low = min(value - width for value, width in known.values())
+    high = max(value + width for value, width in known.values())
+    scale = (_WIDTH - 2 * _MARGIN) / ((high - low) or 1.0)
+    marks = []
+    for index, one in enumerate(row.estimates):
+        about: dict[str, Any] = {
             "across": _HEIGHT * (index + 0.5) + 3,
             "colour": _COLOURS[index % len(_COLOURS)],
-            "text": f"{names[index]}: {value:.6g}",
+            "word": "",
+            "middle": None,
         }
-        for index, value, width in known
-    ]
+        if index in known:
+            value, width = known[index]
+            places = [_MARGIN + (at - low) * scale for at in (value - width, value, value + width)]
+            about |= dict(zip(("low", "middle", "high"), places, strict=True))
+            about |= {"held": not one.free, "text": f"{names[index]}: {value:.6g} {row.unit}"}
+        elif one is not None:
+            about["word"] = "not determined" if isinstance(one.value, float) else "an array"
+        marks.append(about)
+    return marks, [(_MARGIN + (tick - low) * scale, f"{tick:.6g}") for tick in _ticks(low, high)]
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """About four round numbers within an interval."""
+    rough = ((high - low) or abs(high) or 1.0) / 4
+    power = 10.0 ** np.floor(np.log10(rough))
+    step = float(power * next(each for each in (1, 2, 5, 10) if each * power >= rough * (1 - 1e-9)))
+    first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
+    # Not minus zero.
+    return [float(step * k) + 0.0 for k in np.arange(first, last + 1)]

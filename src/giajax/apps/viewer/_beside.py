@@ -1,0 +1,170 @@
+"""What a page has beside its scene: the points that its camera shows, a legend, and plots."""
+
+import functools
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...models import Scene
+from ...runtime.arrays import Float
+from ._show import Show, frames
+from ._stage import (
+    AIR,
+    BUILDING,
+    CONTACT,
+    EMPTY,
+    FULL,
+    INK,
+    LAYERS,
+    RECORDED,
+    VIEWED_FROM,
+    Colour,
+    Stage,
+    grid_step,
+    marker_colour,
+)
+
+# Directions, evenly over the sphere (a Fibonacci lattice), in which points are the farthest.
+_COUNT = 240
+_TURN = np.pi * (1 + np.sqrt(5)) * np.arange(_COUNT)
+_UP = 1 - (2 * np.arange(_COUNT) + 1) / _COUNT
+_DIRECTIONS = np.stack(
+    [np.cos(_TURN) * np.sqrt(1 - _UP**2), np.sin(_TURN) * np.sqrt(1 - _UP**2), _UP], axis=1
+)
+
+
+def outline(scene: Scene) -> Float[np.ndarray, "direction 3"]:
+    """Points of all bodies over all samples that are the farthest in directions all around, m.
+
+    A picture that has all of them has the arm at every sample.
+    """
+    found = []
+    for line in scene.lines:
+        reach = (
+            line.radii if line.swelling is None else line.radii * np.max(line.swelling, initial=0)
+        )
+        surface = np.broadcast_to(reach, line.points.shape[:2]).reshape(-1, 1)
+        points = line.points.reshape(-1, 3)
+        farthest = np.argmax(points @ _DIRECTIONS.T + surface, axis=0)
+        found.append(points[farthest] + surface[farthest] * _DIRECTIONS)
+    points = np.concatenate(found)
+    return points[np.unique(np.argmax(points @ _DIRECTIONS.T, axis=0))]
+
+
+def about(stages: Sequence[Stage], *, live: bool = False, dark: bool = False) -> dict[str, Any]:
+    """What a page needs to draw what is beside the scene of its stages."""
+    shows = [stage.show for stage in stages]
+    places = [stage.offset for stage in stages]
+    points = np.concatenate(
+        [outline(show.scene) + place for show, place in zip(shows, places, strict=True)]
+    )
+    times = frames(shows, 30.0, 300)
+    return {
+        "points": points.round(4).tolist(),
+        "from": VIEWED_FROM.tolist(),
+        "title": "giajax: " + ", ".join(show.name for show in shows),
+        "legend": _legend(stages),
+        "first": float(times[0]),
+        "times": times.round(4).tolist(),
+        "plots": _plots(shows, times) if len(times) > 1 else [],
+        "live": live,
+        "dark": dark,
+    }
+
+
+def _legend(stages: Sequence[Stage]) -> list[tuple[str, str]]:
+    """Colours, and what has them, with the unit and the scale of what has one."""
+    rows: list[tuple[Colour, str]] = []
+    layers = {layer for stage in stages for layer in stage.layers()}
+    scale = stages[0].scale
+    for stage in stages:
+        rows.append((stage.colour, f"balloons of {stage.show.name}"))
+        if "markers" in stage.layers():
+            rows.append((marker_colour(stage.colour), LAYERS["markers"]))
+    rows.append((INK, "joints"))
+    if "muscles" in layers and scale.pressure > 0:
+        rows.append((EMPTY, "muscle at 0 bar"))
+        rows.append((FULL, f"muscle at {scale.pressure / 1e5:.3g} bar"))
+    elif "muscles" in layers:
+        rows.append((INK, "muscles"))
+    if "recorded" in layers:
+        rows.append((RECORDED, LAYERS["recorded"]))
+    if "bands" in layers:
+        rows.append((stages[0].colour, LAYERS["bands"]))
+    for name, colour in (("air", AIR), ("contact", CONTACT)):
+        units = {each.unit for stage in stages for each in stage.show.scene.arrows}
+        if name in layers:
+            rows.append((colour, f"{LAYERS[name]}: longest arrow {scale.force:.2g} {units.pop()}"))
+    if "surroundings" in layers:
+        rows.append((BUILDING, LAYERS["surroundings"]))
+    rows.append(((200, 200, 200), f"grid of {grid_step(scale.extent):g} m"))
+    return [(f"rgb({red}, {green}, {blue})", text) for (red, green, blue), text in rows]
+
+
+_MOST_MARKERS = 20  # of a show that have a plot
+
+
+def _plots(shows: Sequence[Show], times: np.ndarray) -> list[dict[str, Any]]:
+    """Quantities over time: markers, the tip's first, and the largest force and pressure."""
+    found = []
+    for show in shows:
+        scene, samples = show.scene, [show.sample_at(float(time)) for time in times]
+        of = f"{show.name}: " if len(shows) > 1 else ""
+        names = sorted(scene.markers, key=lambda name: name != "tip")
+        for name in names[:_MOST_MARKERS]:
+            recorded = show.recorded.get(name)
+            curves = [
+                {
+                    "name": f"{axis}" + (" (dots: recorded)" if recorded is not None else ""),
+                    "values": _numbers(scene.markers[name][samples, k]),
+                    "dots": None if recorded is None else _numbers(recorded[samples, k]),
+                }
+                for k, axis in enumerate("xyz")
+            ]
+            found.append({"title": f"{of}position of {name}, m", "curves": curves})
+        for arrows in scene.arrows:
+            if np.any(arrows.vectors):
+                largest = np.max(np.linalg.norm(arrows.vectors[samples], axis=-1), axis=1)
+                title = f"{of}{LAYERS.get(arrows.name, arrows.name)}, largest, {arrows.unit}"
+                found.append({"title": title, "curves": [_curve("largest", largest)]})
+        pressures = [line.pressure for line in scene.lines if line.pressure is not None]
+        if pressures:
+            highest = np.max(np.stack(pressures)[:, samples], axis=0) / 1e5
+            title = f"{of}highest pressure of a muscle, bar"
+            found.append({"title": title, "curves": [_curve("highest", highest)]})
+    return found
+
+
+def _curve(name: str, values: np.ndarray) -> dict[str, Any]:
+    return {"name": name, "values": _numbers(values), "dots": None}
+
+
+def _numbers(values: np.ndarray) -> list[float | None]:
+    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
+
+
+def beside(page: bytes, facts: dict[str, Any]) -> bytes:
+    """A page of viser with what is beside its scene."""
+    # The name of a run does not end the script that it stands in.
+    data = json.dumps(facts).replace("<", "\\u003c")
+    style, script = (
+        files(__package__).joinpath(f"page.{kind}").read_text() for kind in ("css", "js")
+    )
+    added = (
+        f'<style>{style}</style><script type="application/json" id="about">{data}</script>'
+        f"<script>{script}</script>"
+    )
+    head = page.index(b"</head>")
+    return page[:head] + added.encode() + page[head:]
+
+
+@functools.cache
+def viser_page() -> bytes:
+    """The page that viser serves."""
+    import viser
+
+    return Path(viser.__file__).parent.joinpath("client", "build", "index.html").read_bytes()

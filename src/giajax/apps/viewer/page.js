@@ -1,0 +1,151 @@
+"use strict";
+// Beside the scene of viser: a camera that shows all of the arm in any window, a legend, and a plot.
+(() => {
+const about = JSON.parse(document.getElementById("about").textContent);
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const plus = (a, s, b) => a.map((part, k) => part + s * b[k]);
+const unit = (a) => a.map((part) => part / Math.hypot(...a));
+const turned = ([w, ...v], p) => plus(plus(p, 2 * w, cross(v, p)), 2, cross(v, cross(v, p)));
+
+// ---- the camera
+const MARGIN = 0.06;  // of the picture, on each side
+const behind = unit(about.from), right = unit(cross([0, 0, 1], behind)), up = cross(behind, right);
+let points = about.points, moved = false, fitted = "", placed = null;
+
+// The nearest camera along a direction that has every point between two slopes across and two
+// upwards. A point at (x, depth) is right of the slope h of a camera at (c, d) where
+// x - c > h (depth - d): each slope is one inequality in c and d, and the worst point decides.
+function nearest(across, depth, low, high) {
+  const most = Math.max(...across.map((x, i) => x - high * depth[i]));
+  const least = Math.min(...across.map((x, i) => x - low * depth[i]));
+  return { depth: (least - most) / (high - low), at: (d) => (most + least + (high + low) * d) / 2 };
+}
+
+function fit() {
+  const viewer = window.__viserMutable, root = window.__viserSceneTree?.getState()[""];
+  // Another version of viser may lack these: its page starts with a camera that suits most windows.
+  if (!viewer?.cameraControl || !viewer.canvas || !root) return;
+  const [width, height] = [viewer.canvas.clientWidth, viewer.canvas.clientHeight];
+  // A legend in a corner leaves the arm its place; one across a narrow window does not.
+  const covered = aside.offsetWidth > 0.6 * width ? aside.offsetHeight : 0, key = [width, height, covered, viewer.camera.fov, points].join();
+  // The message with viser's own first camera may come after the first fit.
+  const stands = placed && placed.every((part, k) => Math.abs(part - viewer.camera.position.toArray()[k]) < 1e-3);
+  if (moved || !width || (key === fitted && stands)) return;
+  fitted = key;
+  const slope = Math.tan(viewer.camera.fov * Math.PI / 360), side = slope * width / height;
+  const depth = points.map((p) => -dot(p, behind));
+  const free = Math.max(1 - 2 * covered / height, 0);
+  const x = nearest(points.map((p) => dot(p, right)), depth, -side * (1 - 2 * MARGIN), side * (1 - 2 * MARGIN));
+  const y = nearest(points.map((p) => dot(p, up)), depth, -slope * (1 - 2 * MARGIN), slope * (free - 2 * MARGIN));
+  const d = Math.min(x.depth, y.depth), far = (Math.min(...depth) + Math.max(...depth)) / 2;
+  const place = (z) => plus(plus(right.map((part) => part * x.at(d)), y.at(d), up), -z, behind);
+  const control = viewer.cameraControl;
+  viewer.camera.up.set(...turned(root.wxyz, [0, 0, 1]));
+  control.updateCameraUp();
+  placed = turned(root.wxyz, place(d));
+  control.setPosition(...placed, false);
+  control.setTarget(...turned(root.wxyz, place(far)), false);
+}
+document.addEventListener("pointerdown", (event) => {
+  if (event.target.localName === "canvas" && !aside.contains(event.target)) moved = true;
+});
+document.addEventListener("keydown", (event) => { if (/^(Key[WASDQE]|Arrow)/.test(event.code)) moved = true; });
+document.addEventListener("wheel", (event) => { if (event.target.localName === "canvas") moved = true; });
+// Of a page around this one, whose arm goes where it has not been.
+window.showAll = (more) => { points = more; fit(); };
+
+// ---- the legend
+const element = (tag, attributes, parent) => {
+  const one = Object.assign(document.createElement(tag), attributes);
+  parent?.append(one);
+  return one;
+};
+const aside = element("details", { id: "legend", open: innerHeight > 600, className: about.dark ? "dark" : "" });
+element("summary", { textContent: about.title }, aside);
+const rows = element("ul", {}, aside);
+for (const [colour, text] of about.legend) {
+  const row = element("li", {}, rows);
+  element("i", {}, row).style.background = colour;
+  row.append(text);
+}
+element("button", { type: "button", textContent: "fit the view",
+  onclick: () => { moved = false; fitted = ""; fit(); } }, aside);
+
+// ---- the plot: what was recorded as dots, and a line at the time that is shown
+const COLOURS = ["#0072b2", "#d55e00", "#009e73"];
+let canvas = null, choice = null, drawn = "";
+if (about.plots.length) {
+  const figure = element("figure", {}, aside);
+  choice = element("select", { ariaLabel: "quantity over time" }, figure);
+  about.plots.forEach((plot) => element("option", { textContent: plot.title }, choice));
+  canvas = element("canvas", { role: "img" }, figure);
+  choice.onchange = () => { drawn = ""; draw(); };
+}
+function ticks(low, high, count) {
+  const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
+  const step = power * [1, 2, 5, 10].find((each) => each * power >= rough), found = [];
+  for (let k = Math.ceil(low / step); k * step <= high + 1e-9 * step; k++) found.push(k * step);
+  return found.map((each) => [each, each.toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)))]);
+}
+function draw() {
+  if (!canvas || !aside.open) return;
+  const value = document.querySelector("[role=slider]")?.ariaValueNow;
+  const time = about.first + Number(value ?? 0) - (about.live ? about.first : 0);
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight], ratio = devicePixelRatio;
+  const key = [time, width, height, choice.selectedIndex].join();
+  if (key === drawn || !width) return;
+  drawn = key;
+  const plot = about.plots[choice.selectedIndex], pen = canvas.getContext("2d"), times = about.times;
+  [canvas.width, canvas.height] = [width * ratio, height * ratio];
+  pen.scale(ratio, ratio);
+  pen.font = "11px system-ui, sans-serif";
+  const ink = getComputedStyle(aside).color;
+  const known = plot.curves.flatMap((curve) => [...curve.values, ...(curve.dots ?? [])])
+    .filter((one) => one !== null);
+  let [low, high] = [Math.min(...known), Math.max(...known)];
+  const room = (high - low) * 0.05 || Math.abs(high) * 0.05 || 1;
+  [low, high] = [low - room, high + room];
+  const end = times.at(-1), box = { left: 44, right: width - 10, top: 16, bottom: height - 30 };
+  const across = (t) => box.left + (t - times[0]) / (end - times[0]) * (box.right - box.left);
+  const upwards = (v) => box.bottom - (v - low) / (high - low) * (box.bottom - box.top);
+  pen.strokeStyle = "#8884"; pen.fillStyle = ink; pen.textAlign = "right"; pen.textBaseline = "middle";
+  const line = (a, b, c, d) => { pen.beginPath(); pen.moveTo(a, b); pen.lineTo(c, d); pen.stroke(); };
+  for (const [v, text] of ticks(low, high, 4)) {
+    line(box.left, upwards(v), box.right, upwards(v)); pen.fillText(text, box.left - 4, upwards(v));
+  }
+  pen.textAlign = "center";
+  for (const [t, text] of ticks(times[0], end, width / 70)) {
+    line(across(t), box.top, across(t), box.bottom); pen.fillText(text, across(t), box.bottom + 9);
+  }
+  pen.fillText("time, s", (box.left + box.right) / 2, height - 7);
+  pen.textAlign = "left";
+  let name = box.left;
+  plot.curves.forEach((curve, index) => {
+    pen.strokeStyle = pen.fillStyle = COLOURS[index % 3];
+    pen.fillText(curve.name, name, 7);
+    name += pen.measureText(curve.name).width + 12;
+    (curve.dots ?? []).forEach((v, i) => { if (v !== null) pen.fillRect(across(times[i]) - 1, upwards(v) - 1, 2, 2); });
+    pen.beginPath();
+    let away = true;
+    curve.values.forEach((v, i) => {
+      if (v === null) { away = true; return; }
+      if (away) pen.moveTo(across(times[i]), upwards(v)); else pen.lineTo(across(times[i]), upwards(v));
+      away = false;
+    });
+    pen.stroke();
+  });
+  pen.strokeStyle = ink;
+  line(across(time), box.top, across(time), box.bottom);
+}
+
+// The panel of viser shows its address, which has the token in it, to whoever looks on.
+const hide = () => document.querySelectorAll("input").forEach((input) => {
+  if (/^wss?:/.test(input.value)) input.style.display = "none";
+});
+addEventListener("DOMContentLoaded", () => {
+  document.title = about.title;
+  document.body.append(aside);
+  setInterval(() => { fit(); draw(); hide(); }, 100);
+});
+})();

@@ -1,0 +1,152 @@
+"""The camera of every page with an arm: all of the arm is seen, and it fills half the window."""
+
+import time
+
+import numpy as np
+import pytest
+
+from browsing import opened
+from giajax.apps.driving import Cockpit, Session, TipCamera
+from giajax.apps.viewer import Posable, Show, Viewer, outline, recording
+from giajax.mechanics.arm import takeichi_20m
+from giajax.models import ArmModel, Line, Scene
+
+WIDTHS = (1400, 390)
+
+CAMERA = """(() => {
+  const frame = document.getElementById("view"), page = frame ? frame.contentWindow : window;
+  const viewer = page.__viserMutable, camera = viewer.camera;
+  const box = viewer.canvas.getBoundingClientRect();
+  camera.updateMatrixWorld();
+  const left = frame ? frame.getBoundingClientRect().left : 0;
+  return {world: camera.matrixWorldInverse.elements, lens: camera.projectionMatrix.elements,
+    left: left + box.left, width: box.width, height: box.height, window: innerWidth};
+})()"""
+
+
+def lifted(count=9):
+    """An arm of ten links that is lifted and turned, as a scene."""
+    ends = np.arange(11.0)
+    lift = np.linspace(0.0, 0.3, count)
+    lines = []
+    for link in range(10):
+        points = np.zeros((count, 2, 3))
+        for end in (0, 1):
+            far = ends[link + end]
+            points[:, end, 0] = far * np.cos(lift)
+            points[:, end, 1] = far * 0.3 * np.sin(lift)
+            points[:, end, 2] = far * np.sin(lift)
+        lines.append(Line("link", points, np.array([0.15, 0.15])))
+    return Scene(tuple(lines), {"tip": lines[-1].points[:, 1]}, 0.1 * np.arange(count))
+
+
+def projected(page, points):
+    """Where points (m) are in the window, px from its left; and whether the picture has all."""
+    seen = page.evaluate(CAMERA)
+    world, lens = (np.reshape(seen[name], (4, 4)).T for name in ("world", "lens"))
+    # The scene of viser is drawn with y upwards, and turned about it.
+    turned = np.stack([-points[:, 1], points[:, 2], -points[:, 0], np.ones(len(points))])
+    x, y, _, w = lens @ world @ turned
+    inside = (w > 0) & (np.abs(x) < w) & (np.abs(y) < w)
+    return seen["left"] + (x / w + 1) / 2 * seen["width"], bool(np.all(inside)), seen["window"]
+
+
+def fills(page, points):
+    """Whether all points are seen, and are half as wide as the window at least."""
+    across, inside, window = projected(page, points)
+    return inside and np.ptp(across) > 0.5 * window
+
+
+def resize(page, width):
+    """The size of the window, in pixels of the page; few of the screen, which software draws."""
+    size = {"width": width, "height": 700, "deviceScaleFactor": 0.25, "mobile": False}
+    page.call("Emulation.setDeviceMetricsOverride", **size)
+
+
+def check(page, points, seconds=180.0):
+    """At both widths, each after the other: a window that is resized, too."""
+    for width in (*WIDTHS, WIDTHS[0]):
+        resize(page, width)
+        end = time.monotonic() + seconds
+        while not fills(page, points) and time.monotonic() < end:
+            time.sleep(0.1)
+        across, inside, window = projected(page, points)
+        assert inside, f"a part of the arm is outside of a window of {width} px"
+        assert window == width
+        share = np.ptp(across) / window
+        assert share > 0.5, f"the arm fills {share:.0%} of a window of {width} px"
+
+
+READY = "window.__viserMutable?.cameraControl && document.getElementById('legend') !== null"
+
+
+def ends_of(scene):
+    return np.concatenate([line.points.reshape(-1, 3) for line in scene.lines])
+
+
+def test_an_outline_has_the_arm_at_every_sample():
+    """No point of a surface is farther in any direction than the outline is, to 5 cm."""
+    scene = lifted()
+    found = outline(scene)
+    random = np.random.default_rng(0).normal(size=(50, 3))
+    directions = random / np.linalg.norm(random, axis=1, keepdims=True)
+    farthest = np.max(ends_of(scene) @ directions.T + 0.15, axis=0)
+    missing = farthest - np.max(found @ directions.T, axis=0)
+    assert np.all(missing < 0.05)
+    assert len(found) <= 240
+
+
+@pytest.fixture
+def page(browser, tmp_path):
+    with opened(browser, tmp_path / "profile") as found:
+        resize(found, WIDTHS[0])
+        yield found
+
+
+def test_a_file_shows_all_of_the_arm(page, tmp_path):
+    """As of `giajax view --page`, `mission --page` and `life`."""
+    out = tmp_path / "lift.html"
+    scene = lifted()
+    seen = {"tip": scene.markers["tip"] + 0.1}
+    out.write_bytes(recording([Show("a </script> lift", scene, seen)]))
+    page.open(out.as_uri())
+    page.wait(READY, 120)
+    check(page, ends_of(scene))
+    legend = page.evaluate("document.getElementById('legend').innerText")
+    for row in ("a </script> lift", "recorded markers", "grid of 1 m"):
+        assert row in legend
+    options = "[...document.querySelectorAll('#legend option')].map((one) => one.textContent)"
+    assert page.evaluate(options) == ["position of tip, m"]
+    inked = (
+        "(() => { const c = document.querySelector('#legend canvas'); return c.getContext('2d')"
+        ".getImageData(0, 0, c.width, c.height).data.some((part) => part > 0); })()"
+    )
+    page.wait(inked, 120)
+    assert not page.complaints
+
+
+def test_a_live_page_shows_all_of_the_arm(page):
+    viewer = Viewer([Posable(ArmModel(takeichi_20m(4)), "arm")])
+    try:
+        page.open(viewer.address)
+        page.wait(READY, 120)
+        check(page, ends_of(viewer.shows[0].scene))
+        token = viewer.address.split("/")[3]
+        shown = "[...document.querySelectorAll('input')].filter((one) => one.offsetParent)"
+        assert token not in page.evaluate(f"{shown}.map((one) => one.value).join()")
+        assert not page.complaints
+    finally:
+        viewer.close()
+
+
+def test_the_page_of_a_drive_shows_all_of_the_arm(page):
+    model = ArmModel(takeichi_20m(4))
+    cockpit = Cockpit(Session(model), TipCamera(model))
+    try:
+        page.open(cockpit.address)
+        within = READY.replace("window.", "document.getElementById('view').contentWindow.")
+        page.wait(within.replace("document.getElementById('legend')", "document.body"), 120)
+        check(page, ends_of(cockpit._scene(cockpit.session.pose)))
+        assert not page.complaints
+    finally:
+        cockpit.close()
