@@ -34,7 +34,7 @@ def options_of(name):
 def meanings_of(name):
     """Options of a command by name: metavar, type, and whether it may be repeated."""
     each = COMMANDS[name]
-    kinds = get_type_hints(with_options(each.function, each.settings_after))
+    kinds = get_type_hints(with_options(each))
     for parameter in GROUP.commands[name].params:
         if parameter.opts[0].startswith("-"):
             hint = kinds[parameter.name]

@@ -58,6 +58,7 @@ the same with --resume DIR goes on to the same steps, and --force begins anew.
 Exit status: 0 the final fit converged; 1 it did not; 2 bad input or usage;
 130 interrupted, 143 by SIGTERM.""",
     group="fit",
+    pictures=True,
     settings_after="data",
     old={"--config": "DEFINITION", "--page": "--report", "--no-page": "--no-report"},
 )

@@ -562,6 +562,7 @@ end of a budget, --resume DIR goes on from there to the same numbers.
 With --workers or --scheduler other processes fit the starts after the first
 that converges.""",
     group="first",
+    pictures=True,
     settings_after="data",
     old={"--config": "DEFINITION"},
 )

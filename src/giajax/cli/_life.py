@@ -49,6 +49,7 @@ It writes
 The file is that of giajax mission. What differs of the roll and of the gas
 stands in its [unrolling] and [filling].""",
     group="arm",
+    pictures=True,
 )
 def life(
     context: typer.Context,

@@ -162,6 +162,7 @@ The file is that of an arm with [[arm.obstacles]], a [camera.NAME] at its tip, a
   [mission.spread]            # of --cases, by parameter
   "joints.damping" = 0.5""",
     group="plan",
+    pictures=True,
 )
 def mission(
     context: typer.Context,

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ..runtime.pictures import all_pictures
 from ..runtime.process import configure, is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import (
@@ -54,6 +55,7 @@ NAME is
 Each writes NAME.png, NAME.csv and NAME.json, and says what is printed in the paper, assumed, or
 reconstructed.""",
     group="paper",
+    pictures=True,
 )
 def paper(
     name: Annotated[str, argument("NAME", "See below, or 'all'.")],
@@ -104,7 +106,8 @@ def paper(
 
 
 def _files(names: Iterable[str]) -> list[str]:
-    return [f"{each}.{ending}" for each in names for ending in ("png", "csv", "json")]
+    endings = ("png", "csv", "json")
+    return all_pictures(f"{each}.{ending}" for each in names for ending in endings)
 
 
 def _made(
@@ -142,6 +145,7 @@ Examples:
 The folder gets fig12.png, its numbers in fig12.csv, errors.csv, the recording that both
 compensations were made from, and the fit of the inverse one.""",
     group="arm",
+    pictures=True,
 )
 def hysteresis(
     out: Annotated[Path, "DIR", "Where the files go."],

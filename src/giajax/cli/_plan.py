@@ -60,6 +60,7 @@ are left out are at 0. Writes
 The air is still, and the arm rests when it begins. The largest rate of the
 paper's arm is not published: 2 deg/s are an assumption.""",
     group="plan",
+    pictures=True,
 )
 def plan(
     context: typer.Context,

@@ -77,6 +77,7 @@ Without a run: the base joint to 30 deg within a second, all links filmed.
 Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.csv
 (share of each link, and the standard error with it alone).""",
     group="plan",
+    pictures=True,
     old_words="--data",
 )
 def sensitivity(
@@ -293,6 +294,7 @@ SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML
 file whose [arm] states an arm; without it the preset. Writes command.csv,
 which an operator can run, with its sidecar, design.json and design.png.""",
     group="plan",
+    pictures=True,
     old={
         "--for": "--parameter",
         "--uncertainty": "--relative-uncertainty",

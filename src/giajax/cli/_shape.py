@@ -51,6 +51,7 @@ on, which an operator can run, shape.json and shape.png. The residual is the
 largest distance of the tip from where it comes to rest, once the command has
 ended, in still air.""",
     group="plan",
+    pictures=True,
 )
 def shape(
     run: Annotated[Path, argument("COMMAND.csv", "A run whose commands are shaped.")],

@@ -132,6 +132,7 @@ draws for ArviZ (posterior.nc), pictures, and bands of every channel as CSV.
 Each chain has a file in posterior_chains: the same command goes on after Ctrl-C,
 and with more --chains keeps those that are there. Needs pip install 'giajax[posterior]'.""",
     group="trust",
+    pictures=True,
     workers=True,
     out="Folder for files (that of the result).",
     as_json=True,

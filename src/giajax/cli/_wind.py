@@ -46,6 +46,7 @@ MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states
 an arm; without it the sidecar's is taken. NAME is speed, deviation,
 length_scale (which are free), decay, heading or climb (which are held).""",
     group="plan",
+    pictures=True,
 )
 def wind(
     data: Annotated[Path, "RUN.csv", "A run under constant commands."],

@@ -405,7 +405,14 @@ class CachedProgram:
         name = f"{self._function.__module__}.{_qualified(self._function)}"
         settings = sorted((k, v) for k, v in os.environ.items() if k.startswith(_SETTINGS))
         device = jax.devices()[0]
-        parts = (structure(self._function), key, settings, repr(self._options), origin(), str(device.platform))
+        parts = (
+            structure(self._function),
+            key,
+            settings,
+            repr(self._options),
+            origin(),
+            str(device.platform),
+        )
         whole = repr((*parts, str(jax.numpy.result_type(float))))
         return f"{name}-{hashlib.sha256(whole.encode()).hexdigest()[:40]}{SUFFIX}"
 
