@@ -67,6 +67,14 @@ def test_no_option_means_two_things():
     assert {metavar for metavar, _, _ in meanings["--data"]} == {"RUN.csv"}
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_a_command_that_draws_has_formats_and_a_resolution(name):
+    known = options_of(name)
+    said = [COMMANDS[name].examples, *(each.help or "" for each in GROUP.commands[name].params)]
+    draws = "--figures" in known or re.search(r"\bPNG\b|[.]png|pictures, and", " ".join(said))
+    assert ("--format" in known, "--dpi" in known) == (bool(draws),) * 2
+
+
 WRITTEN = ("--out", "--to", "--page", "--copy")
 BESIDE = ("init", "profile")  # beside what they are given
 

@@ -2,9 +2,11 @@
 
 import dataclasses
 import pickle
+import struct
 import subprocess
 import sys
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import jax
 import matplotlib as mpl
@@ -17,6 +19,7 @@ from giajax.fitting import ChannelFit, Correlation, RunFit, parse_result
 from giajax.models import model_for
 from giajax.recordings import Run
 from giajax.report import correlation_figure, plot, recorded_figure, residuals_figure, to_png
+from giajax.runtime.pictures import pictures_as
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -245,6 +248,34 @@ def test_a_figure_is_the_same_file_each_time(result):
     first, second = to_png(correlation_figure(result)), to_png(correlation_figure(result))
     assert first == second
     assert b"giajax" in first[:200]
+
+
+@pytest.mark.parametrize("dpi", [65, 260])
+def test_a_figure_is_the_same_file_each_time_in_all_formats(result, dpi):
+    def drawn():
+        with pictures_as(["pdf", "svg", "png"], dpi):
+            return to_png(correlation_figure(result))
+
+    first, second = drawn(), drawn()
+    assert list(first.others) == ["svg", "pdf"]
+    assert first.others == second.others
+    assert b"date" not in first.others["svg"].lower()
+    assert b"CreationDate" not in first.others["pdf"]
+    texts = [
+        each.text for each in ElementTree.fromstring(first.others["svg"]).iterfind(".//{*}text")
+    ]
+    figure = correlation_figure(result)
+    assert figure.get_suptitle() in texts
+    size = tuple(int(dpi * inches) for inches in figure.get_size_inches())
+    assert struct.unpack(">II", first[16:24]) == size
+    # The text of the last figure says nothing of the next.
+    assert to_png(figure).others == {}
+
+
+def test_a_figure_in_a_format_that_there_is_not():
+    sentence = "--format 'gif' must be png, svg or pdf: correct it"
+    with pytest.raises(InputError, match=sentence), pictures_as(["svg", "gif"]):
+        pass
 
 
 def test_a_fit_without_figures_does_not_import_matplotlib():
