@@ -112,7 +112,8 @@ def _sensitivity() -> None:
     found = giajax.sensitivity(
         giajax.ArmModel(giajax.takeichi_20m()), run, ["air.drag_coefficient"]
     )
-    _save("sensitivity", to_png(sensitivity_figure(found, _NOISE, "What each link tells of C_D")))
+    title = "Sensitivity of the positions of the links to C_D"
+    _save("sensitivity", to_png(sensitivity_figure(found, _NOISE, title)))
 
 
 def _hysteresis() -> None:

@@ -33,7 +33,7 @@ def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: st
         unit, value = sensitivity.units[row], sensitivity.values[row]
         side = figure.add_subplot(grid[row, 0])
         side.barh(places, 100 * shares[:, row], color=BLUE, height=0.75)
-        plain(side, "Who carries the information", "share (%)")
+        plain(side, "Share of the information", "share (%)")
         side.grid(False, axis="y")
         side.set_yticks(places[::every], names[::every])
         if not shares[:, row].any():
@@ -50,7 +50,7 @@ def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: st
         axes.tick_params(labelleft=False, left=False)
         bar = plain_colorbar(axes, image, pad=0.01)
         per = f"{of} per {unit}" if unit else of
-        bar.set_label(f"change of position by the parameter\n({per})", fontsize=8)
+        bar.set_label(f"change of position per change of parameter ({per})", fontsize=8)
     return figure
 
 

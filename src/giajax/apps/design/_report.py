@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from ...recordings import Channel
-from ...report import BLUE, DEGREE, GREY, VERMILLION, new_figure, plain
+from ...report import BLUE, DEGREE, GREY, INK, VERMILLION, new_figure, plain
 from ...runtime.records import plain_data
 from ...studies import body_of
 from ._experiment import Design, Expected
@@ -116,6 +116,7 @@ def _errors(axes: Axes, found: Design) -> None:
     """Standard errors over the values, where both are finite."""
     paths = [row[0] for row in design_rows(found)][:_MOST_NAMES]
     places = np.arange(len(paths))[::-1]
+    missing: dict[int, list[str]] = {}
     shown = [
         ("fit before", GREY, "D", found.before),
         ("base step", VERMILLION, "s", found.base_step.errors),
@@ -130,6 +131,13 @@ def _errors(axes: Axes, found: Design) -> None:
         ]
         finite = [share if share < math.inf else math.nan for share in shares]
         axes.plot(finite, places, mark, color=colour, markersize=7, label=label)
+        for share, place in zip(shares, places, strict=True):
+            if share == math.inf:
+                missing.setdefault(int(place), []).append(label)
+    for place, labels in missing.items():
+        words = f"not determined: {', '.join(labels)}"
+        beside: Any = {"textcoords": "offset points", "fontsize": 7, "color": INK, "ha": "right"}
+        axes.annotate(words, (1, place), (0, 8), axes.get_yaxis_transform(), **beside)
     # A logarithmic axis has no base that a bar could stand on: marks.
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(LogFormatter())
