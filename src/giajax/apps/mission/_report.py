@@ -129,9 +129,9 @@ def _shapes(panel: Axes, mission: Mission, outcome: Outcome, axes: str) -> None:
 
 def _way(panel: Axes, mission: Mission, outcome: Outcome) -> None:
     opening = mission.opening
-    for points, style, marked, name in (
-        (outcome.tip, "-", 0.1, ""),
-        (outcome.believed, ":", [], ", as the operator believes"),
+    for points, style, name in (
+        (outcome.tip, "-", ""),
+        (outcome.believed, ":", ", as the operator believes"),
     ):
         local = np.asarray(opening.local(jnp.asarray(points)))
         beside = np.linalg.norm(local[:, 1:], axis=1)
@@ -139,8 +139,10 @@ def _way(panel: Axes, mission: Mission, outcome: Outcome) -> None:
             ("its plane", local[:, 0], "o", BLUE),
             ("its axis", beside, "s", VERMILLION),
         ):
-            drawn: Any = {"marker": mark, "markevery": marked, "markersize": 4, "color": colour}
-            panel.plot(outcome.times, values, style, label=f"from {of}{name}", **drawn)
+            marks: Any = {} if name else {"marker": mark, "markevery": 0.1, "markersize": 4}
+            panel.plot(
+                outcome.times, values, style, color=colour, label=f"from {of}{name}", **marks
+            )
     seen = outcome.corners >= 2
     edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(int)))
     for first, end in zip(edges[::2], edges[1::2], strict=True):
