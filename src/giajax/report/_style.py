@@ -33,7 +33,7 @@ _HEADERS: dict[str, dict[str, Any]] = {
     "pdf": {"Creator": SIGNATURE, "CreationDate": None},
 }
 
-_SETTINGS = {
+_SETTINGS: Any = {
     # Text that can be searched, read out and edited; whoever lacks the font sees another one.
     "svg.fonttype": "none",
     "svg.hashsalt": "giajax",
