@@ -4,14 +4,17 @@ And the tiers: tests marked `quick` compile nothing (`make check`), tests marked
 of `make test`, and those marked `long` of `make test-all`, too; both say so at their end.
 """
 
+import contextlib
 import functools
 import gc
 import io
 import json
 import os
+import re
 import shutil
 from importlib.metadata import version
 from pathlib import Path
+from xml.etree import ElementTree
 
 # A check that raises in a compiled program calls back into Python, and JAX keeps no such program:
 # each process would compile it again, and the largest have checks. As in the command, a failed
@@ -197,6 +200,42 @@ def few_programs_at_a_time():
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def every_picture_in_all_formats():
+    """What is drawn as PNG is drawn as SVG and PDF, too: a picture of each title, once."""
+    from matplotlib.figure import Figure
+
+    from giajax.report import to_png
+    from giajax.runtime.pictures import FORMATS, pictures_as
+
+    save, titles = Figure.savefig, set()
+
+    def saved(figure, *given, **options):
+        save(figure, *given, **options)
+        title = figure.get_suptitle()
+        ours = "giajax" in (options.get("metadata") or {}).get("Software", "")
+        if ours and title not in titles:
+            titles.add(title)
+            with pictures_as(FORMATS):
+                check_pictures(to_png(figure).others)
+
+    Figure.savefig = saved
+    yield
+    Figure.savefig = save
+
+
+def check_pictures(others):
+    """An SVG file whose text is text, and a PDF file of one page without fonts of Type 3."""
+    svg, pdf = others["svg"], others["pdf"]
+    root = ElementTree.fromstring(svg)
+    assert root.tag.endswith("}svg")
+    assert root.find(".//{*}text") is not None
+    assert pdf.startswith(b"%PDF")
+    assert len(re.findall(rb"/Type /Page\b", pdf)) == 1
+    assert b"/FontFile2" in pdf
+    assert b"/Type3" not in pdf
 
 
 @pytest.fixture(scope="session")

@@ -34,7 +34,7 @@ def options_of(name):
 def meanings_of(name):
     """Options of a command by name: metavar, type, and whether it may be repeated."""
     each = COMMANDS[name]
-    kinds = get_type_hints(with_options(each.function, each.settings_after))
+    kinds = get_type_hints(with_options(each))
     for parameter in GROUP.commands[name].params:
         if parameter.opts[0].startswith("-"):
             hint = kinds[parameter.name]
@@ -65,6 +65,14 @@ def test_no_option_means_two_things():
     assert {metavar for metavar, _, _ in meanings["--out"]} == {"DIR"}
     assert {metavar for metavar, _, _ in meanings["--page"]} == {"FILE.html"}
     assert {metavar for metavar, _, _ in meanings["--data"]} == {"RUN.csv"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_command_that_draws_has_formats_and_a_resolution(name):
+    known = options_of(name)
+    said = [COMMANDS[name].examples, *(each.help or "" for each in GROUP.commands[name].params)]
+    draws = "--figures" in known or re.search(r"\bPNG\b|[.]png|pictures, and", " ".join(said))
+    assert ("--format" in known, "--dpi" in known) == (bool(draws),) * 2
 
 
 WRITTEN = ("--out", "--to", "--page", "--copy")

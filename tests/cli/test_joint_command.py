@@ -8,6 +8,7 @@ import pytest
 from giajax.cli import main
 
 PICTURES = ("fig09.png", "fig10.png", "corrections.png", "joint.png", "equilibria.png")
+WIDTHS = {"fig09.png": 10, "fig10.png": 10, "corrections.png": 8}  # inches; the others 11
 
 
 def rows(path):
@@ -18,7 +19,8 @@ def rows(path):
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("joint") / "new" / "out"
-    assert main(["joint", "--out", str(folder), "--target-angle", "25"]) == 0
+    formats = ["--format", "svg", "--format", "pdf", "--dpi", "65"]
+    assert main(["joint", "--out", str(folder), "--target-angle", "25", *formats]) == 0
     return folder
 
 
@@ -49,7 +51,11 @@ def test_necks_that_are_none(words, sentence, tmp_path, capsys):
 @pytest.mark.slow
 def test_it_draws_and_writes_the_numbers(written):
     for name in PICTURES:
-        assert (written / name).read_bytes().startswith(b"\x89PNG")
+        content = (written / name).read_bytes()
+        assert content.startswith(b"\x89PNG")
+        assert int.from_bytes(content[16:20]) == 65 * WIDTHS.get(name, 11)
+        for ending, begin in ((".svg", b"<?xml"), (".pdf", b"%PDF")):
+            assert (written / name).with_suffix(ending).read_bytes().startswith(begin)
     plain, corrected = rows(written / "fig09.csv"), rows(written / "fig10.csv")
     assert len(plain) == len(corrected) == 242
     at = {float(row["angle_deg"]): row for row in corrected if row["side"] == "inner"}
@@ -145,13 +151,24 @@ def test_it_says_where_the_pressures_hold_the_joint(tmp_path, capsys):
     assert torque == {"0.4"}
 
 
-def test_nothing_is_written_over_without_force(tmp_path, capsys):
-    (tmp_path / "joint.png").write_text("mine")
-    assert main(["joint", "--out", str(tmp_path)]) == 2
+@pytest.mark.parametrize("name", ["joint.png", "joint.svg"])
+def test_nothing_is_written_over_without_force(tmp_path, capsys, name):
+    (tmp_path / name).write_text("mine")
+    assert main(["joint", "--out", str(tmp_path), "--format", "svg"]) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
-    assert "joint.png exists" in err
-    assert [path.name for path in tmp_path.iterdir()] == ["joint.png"]
+    assert f"{name} exists" in err
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_format_or_a_resolution_that_there_is_not(tmp_path, capsys):
+    assert main(["joint", "--out", str(tmp_path / "new"), "--format", "gif"]) == 2
+    assert capsys.readouterr().err == (
+        "giajax: --format 'gif' must be png, svg or pdf: correct it\n"
+    )
+    assert main(["joint", "--out", str(tmp_path / "new"), "--dpi", "5"]) == 2
+    assert "'--dpi'" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize("name", ["run.csv", "there/run.csv"])

@@ -2,9 +2,11 @@
 
 import dataclasses
 import pickle
+import struct
 import subprocess
 import sys
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import jax
 import matplotlib as mpl
@@ -16,7 +18,15 @@ from giajax import InputError
 from giajax.fitting import ChannelFit, Correlation, RunFit, parse_result
 from giajax.models import model_for
 from giajax.recordings import Run
-from giajax.report import correlation_figure, plot, recorded_figure, residuals_figure, to_png
+from giajax.report import (
+    correlation_figure,
+    new_figure,
+    plot,
+    recorded_figure,
+    residuals_figure,
+    to_png,
+)
+from giajax.runtime.pictures import pictures_as
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -245,6 +255,34 @@ def test_a_figure_is_the_same_file_each_time(result):
     first, second = to_png(correlation_figure(result)), to_png(correlation_figure(result))
     assert first == second
     assert b"giajax" in first[:200]
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("dpi", [65, 260])
+def test_a_figure_is_the_same_file_each_time_in_all_formats(dpi):
+    def drawn():
+        figure = new_figure(4, 3, "A parabola")
+        figure.subplots().plot([0, 1, 4, 9])
+        with pictures_as(["pdf", "svg", "png"], dpi):
+            return to_png(figure), figure
+
+    (first, figure), (second, _) = drawn(), drawn()
+    assert (first, first.others) == (second, second.others)
+    assert list(first.others) == ["svg", "pdf"]
+    svg, pdf = first.others["svg"], first.others["pdf"]
+    assert (b"date" in svg.lower(), b"CreationDate" in pdf) == (False, False)
+    texts = [each.text for each in ElementTree.fromstring(svg).iterfind(".//{*}text")]
+    assert "A parabola" in texts
+    assert struct.unpack(">II", first[16:24]) == (4 * dpi, 3 * dpi)
+    # What was chosen is over.
+    assert to_png(figure).others == {}
+
+
+@pytest.mark.quick
+def test_a_figure_in_a_format_that_there_is_not():
+    sentence = "--format 'gif' must be png, svg or pdf: correct it"
+    with pytest.raises(InputError, match=sentence), pictures_as(["svg", "gif"]):
+        pass
 
 
 def test_a_fit_without_figures_does_not_import_matplotlib():

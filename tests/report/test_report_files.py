@@ -12,6 +12,7 @@ from giajax.fitting import fit, load_result, set_up
 from giajax.models import model_for
 from giajax.recordings import Run, read_run
 from giajax.report import _files, check_folder, write_figures, write_result
+from giajax.runtime.pictures import pictures_as
 from giajax.runtime.text import InputError
 from giajax.schema import InitialSection
 from small_arm import START, make_run, small_run
@@ -103,8 +104,16 @@ def test_stale_figures_go_and_a_persons_own_stay(result, run, whole, tmp_path):
     shutil.copytree(whole[0], tmp_path, dirs_exist_ok=True)
     (tmp_path / "recorded.png").rename(tmp_path / "recorded_old.png")
     (tmp_path / "recorded_mine.png").write_bytes(b"\x89PNG mine")
+    (tmp_path / "recorded_mine.svg").write_text("<svg>mine</svg>")
     (tmp_path / "notes.txt").write_text("mine")
+    with pictures_as(["svg", "pdf"]):
+        write_figures(result, run, tmp_path)
+    assert {path.name for path in tmp_path.glob("r*.[sp][vd][gf]")} == {
+        *(f"{name}.{each}" for name in ("recorded", "residuals") for each in ("svg", "pdf")),
+        "recorded_mine.svg",
+    }
     write_result(result, run, tmp_path)
+    (tmp_path / "recorded_mine.svg").unlink()
     assert sorted(os.listdir(tmp_path)) == sorted([*NAMES, "recorded_mine.png", "notes.txt"])
 
 

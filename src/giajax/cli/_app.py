@@ -128,7 +128,7 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
     for name in command_names():
         each = COMMANDS[name]
         if name in words:
-            full = with_options(each.function, each.settings_after)
+            full = with_options(each)
             app.command(name, epilog=each.examples, cls=command_of(full, each))(full)
         else:
             app.command(name, epilog=each.examples, help=each.function.__doc__)(_only_listed)

@@ -23,6 +23,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from ..runtime.aliases import UNTIL
 from ..runtime.files import check_path
+from ..runtime.pictures import all_pictures, pictures_as
 from ..runtime.plugins import load_plugin
 from ..runtime.process import CORES_VARIABLE, configure, is_stopped, stopped_status
 from ..runtime.text import (
@@ -66,6 +67,7 @@ class Registered:
     examples: str
     group: str
     settings_after: str = ""
+    pictures: bool = False
     old: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     old_words: str = ""
 
@@ -79,6 +81,7 @@ def command(
     *,
     group: str,
     settings_after: str = "",
+    pictures: bool = False,
     old: Mapping[str, str | tuple[str, ...]] | None = None,
     old_words: str = "",
 ) -> Callable[[Function], Function]:
@@ -88,7 +91,8 @@ def command(
     metavar a switch. Words such as "--set" follow where the option is not called as its parameter,
     numbers are the least and the greatest value, and what is a list may be repeated. Of keywords,
     `**settings: Unpack[Settings]`, each item of the `TypedDict` is one.
-    They stand in the help behind the parameter `settings_after`.
+    They stand in the help behind the parameter `settings_after`. A command that draws `pictures`
+    has `--format` and `--dpi`.
 
     The help of all commands shows it in one of `GROUPS`. `old` has the options that it had under
     other names, and what each is now: an option (or several), or an argument by its metavar;
@@ -103,7 +107,7 @@ def command(
     def register(function: Function) -> Function:
         # `import` is a word of Python: its function is called import_.
         COMMANDS[function.__name__.rstrip("_")] = Registered(
-            function, examples, group, settings_after, forms, old_words
+            function, examples, group, settings_after, pictures, forms, old_words
         )
         return function
 
@@ -114,6 +118,9 @@ def argument(metavar: str, text: str) -> Any:
     """An argument, which has a place and no name: what the help calls it, and says of it."""
     return typer.Argument(metavar=metavar, help=text)
 
+
+_Formats = Annotated[Texts, "FORMAT", "Write pictures as svg or pdf, too.", "--format"]
+_Dpi = Annotated[int | None, "N", "Pixels of a picture per inch. [130]", 30, 2400]
 
 _PLUGINS = Parameter(
     "plugin",
@@ -127,8 +134,15 @@ _PLUGINS = Parameter(
 )
 
 
-def with_options(function: Function, settings_after: str = "") -> Function:
+_PICTURES = [
+    Parameter("formats", Parameter.KEYWORD_ONLY, default=None, annotation=_Formats),
+    Parameter("dpi", Parameter.KEYWORD_ONLY, default=None, annotation=_Dpi),
+]
+
+
+def with_options(registered: Registered) -> Function:
     """The function of a command as typer reads it, with an option for each parameter."""
+    function, settings_after = registered.function, registered.settings_after
     parameters: list[Parameter] = []
     for each in inspect.signature(function, eval_str=True).parameters.values():
         if each.kind is Parameter.VAR_KEYWORD:
@@ -141,15 +155,18 @@ def with_options(function: Function, settings_after: str = "") -> Function:
         else:
             parameters.append(each.replace(kind=Parameter.KEYWORD_ONLY))
 
-    parameters.append(_PLUGINS)
+    parameters += [*(_PICTURES if registered.pictures else []), _PLUGINS]
 
     @functools.wraps(function)
-    def whole(plugin: Paths = None, **given: Any) -> None:
+    def whole(
+        plugin: Paths = None, formats: Texts = None, dpi: int | None = None, **given: Any
+    ) -> None:
         if plugin:
             configure()  # before it imports Equinox, or makes an array
         for path in plugin or ():
             load_plugin(path)
-        function(**given)
+        with pictures_as(formats or (), dpi):
+            function(**given)
 
     return with_signature(whole, [_with_option(each) for each in parameters])
 
@@ -629,7 +646,7 @@ def terminal_width() -> int | None:
 def say_written(out: Path, names: Iterable[str]) -> None:
     """Say which files of a folder were written."""
     where = "" if out == Path() else f"{shlex.quote(str(out))}: "
-    wrote, width = f"wrote {where}{', '.join(names)}", terminal_width()
+    wrote, width = f"wrote {where}{', '.join(all_pictures(names))}", terminal_width()
     if width is not None:
         wrapper = textwrap.TextWrapper(width, subsequent_indent="  ", break_on_hyphens=False)
         wrote = wrapper.fill(wrote)
@@ -672,7 +689,7 @@ def say_served(page: Any, whoever: str, end: str, *, browser: bool, quiet: bool)
         open_in_browser(page.address)
 
 
-_ONLY_WHERE = ("out", "to", "page", "force", "quiet", "as_json")
+_ONLY_WHERE = ("out", "to", "page", "force", "quiet", "as_json", "formats", "dpi")
 
 
 def origin(context: typer.Context) -> str:

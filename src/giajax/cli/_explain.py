@@ -58,6 +58,7 @@ in DIR/fits. Ctrl-C and --budget end it and write the same files for the last st
 Exit status: 0 the final fit converged; 1 it did not; 2 bad input or usage;
 130 interrupted, 143 by SIGTERM.""",
     group="fit",
+    pictures=True,
     settings_after="data",
     old={"--config": "DEFINITION", "--page": "--report", "--no-page": "--no-report"},
 )

@@ -55,6 +55,7 @@ A definition is a TOML file with an [arm] and a [filling], such as
   port_diameter_mm = 8.0
   shared = [[1, 2], [3, 4]]  # links without a weld between them""",
     group="arm",
+    pictures=True,
 )
 def fill(
     definition: Annotated[

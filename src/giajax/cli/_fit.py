@@ -564,6 +564,7 @@ end of a budget, --resume DIR continues from there and gives the same result.
 With --workers or --scheduler, other processes fit the remaining initial guesses
 after the first one has converged.""",
     group="first",
+    pictures=True,
     settings_after="data",
     old={"--config": "DEFINITION"},
 )

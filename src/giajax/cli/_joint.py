@@ -54,6 +54,7 @@ It writes
 
 DEFINITION is a TOML file with [joint] and [muscle] sections, such as the sidecar of a run.""",
     group="arm",
+    pictures=True,
     old={"--definition": "DEFINITION", "--target": "--target-angle"},
 )
 def joint(

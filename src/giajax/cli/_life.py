@@ -49,6 +49,7 @@ It writes
 The file is that of giajax mission. Other values of the roll and of the gas
 are set in its [unrolling] and [filling].""",
     group="arm",
+    pictures=True,
 )
 def life(
     context: typer.Context,

@@ -162,6 +162,7 @@ The file describes an arm with [[arm.obstacles]], a [camera.NAME] at its tip, an
   [mission.spread]            # of --cases, by parameter
   "joints.damping" = 0.5""",
     group="plan",
+    pictures=True,
 )
 def mission(
     context: typer.Context,

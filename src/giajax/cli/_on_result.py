@@ -171,6 +171,7 @@ def on_result(
     out: str | None = None,
     page: str | None = None,
     figures: str | None = None,
+    pictures: bool = False,
     as_json: bool = False,
     old: Mapping[str, str | tuple[str, ...]] | None = None,
     old_words: str = "",
@@ -178,7 +179,8 @@ def on_result(
     """Make a function of `OnResult` and its own options a command on a result.
 
     The options `folder`, `out`, `page` and `figures` are what the help says of them, and there are
-    none without. It has `workers` where it has tasks. All others are as of `command`.
+    none without. It has `workers` where it has tasks, and draws `pictures` where it has `figures`
+    or always. All others are as of `command`.
     """
     shared: list[tuple[str, Any, Any]] = [
         ("data", Annotated[Paths, "RUN.csv", "New path of a fitted run that was moved."], None),
@@ -209,7 +211,13 @@ def on_result(
             function(given, **options)
 
         keywords = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in own]
-        registered = command(examples, group=group, old=old, old_words=old_words)
+        registered = command(
+            examples,
+            group=group,
+            pictures=pictures or figures is not None,
+            old=old,
+            old_words=old_words,
+        )
         return registered(with_signature(run, [result, *keywords, *added]))
 
     return register

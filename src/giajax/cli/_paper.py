@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ..runtime.pictures import all_pictures
 from ..runtime.process import configure, is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import (
@@ -54,6 +55,7 @@ NAME is
 Each writes NAME.png, NAME.csv and NAME.json, and states which values are
 printed in the paper, assumed or reconstructed.""",
     group="paper",
+    pictures=True,
 )
 def paper(
     name: Annotated[str, argument("NAME", "See below, or 'all'.")],
@@ -106,7 +108,8 @@ def paper(
 
 
 def _files(names: Iterable[str]) -> list[str]:
-    return [f"{each}.{ending}" for each in names for ending in ("png", "csv", "json")]
+    endings = ("png", "csv", "json")
+    return all_pictures(f"{each}.{ending}" for each in names for ending in endings)
 
 
 def _made(
@@ -144,6 +147,7 @@ Examples:
 The folder contains fig12.png, its data in fig12.csv, errors.csv, the recording on which both
 compensations are based, and the fit of the inverse one.""",
     group="arm",
+    pictures=True,
 )
 def hysteresis(
     out: Annotated[Path, "DIR", "Folder for the files."],

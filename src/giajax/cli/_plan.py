@@ -60,6 +60,7 @@ are at 0. Writes
 The air is still, and the arm is initially at rest. The largest rate of the
 paper's arm is not published: 2 deg/s is an assumption.""",
     group="plan",
+    pictures=True,
 )
 def plan(
     context: typer.Context,

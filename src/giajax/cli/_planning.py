@@ -77,6 +77,7 @@ Default motion: the base joint moves to 30 deg within 1 s; all links are filmed.
 Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.csv
 (share of each link, and the standard error from that link alone).""",
     group="plan",
+    pictures=True,
     old_words="--data",
 )
 def sensitivity(
@@ -295,6 +296,7 @@ SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML
 file whose [arm] states an arm; the default is the preset. Writes command.csv,
 the command for an operator, with its sidecar, design.json and design.png.""",
     group="plan",
+    pictures=True,
     old={
         "--for": "--parameter",
         "--uncertainty": "--relative-uncertainty",

@@ -51,6 +51,7 @@ on (commands for an operator), shape.json and shape.png. The residual is the
 largest distance of the tip from its final position after the command has
 ended, in still air.""",
     group="plan",
+    pictures=True,
 )
 def shape(
     run: Annotated[Path, argument("COMMAND.csv", "A run with the commands to shape.")],

@@ -134,6 +134,7 @@ draws for ArviZ (posterior.nc), figures, and bands of every channel as CSV.
 Each chain has a file in posterior_chains. The same command continues after Ctrl-C,
 and with more --chains it keeps the existing ones. Needs pip install 'giajax[posterior]'.""",
     group="trust",
+    pictures=True,
     workers=True,
     out="Folder for the files (that of the result).",
     as_json=True,

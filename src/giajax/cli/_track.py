@@ -68,6 +68,7 @@ track.html (with the extra report).
 With --live, or with - for standard input, a line is printed for each second
 of the recording; the files are written at the end of the run or at Ctrl-C.""",
     group="plan",
+    pictures=True,
 )
 def track(
     run: Annotated[Path, argument("RUN.csv", "A run with commands and measurements.")],

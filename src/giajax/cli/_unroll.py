@@ -52,6 +52,7 @@ A definition is a TOML file with an [arm], a [filling] and an
   roll_radius_mm = 90.0
   peel_force_N = 0.2""",
     group="arm",
+    pictures=True,
 )
 def unroll(
     definition: Annotated[

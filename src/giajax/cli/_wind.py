@@ -46,6 +46,7 @@ MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states
 an arm; the default is the sidecar's arm. NAME is speed, deviation,
 length_scale (free by default), decay, heading or climb (fixed by default).""",
     group="plan",
+    pictures=True,
 )
 def wind(
     data: Annotated[Path, "RUN.csv", "A run with constant commands."],

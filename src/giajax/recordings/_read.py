@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..runtime.files import check_path, check_replaced, part_of, written_to
+from ..runtime.pictures import FORMATS, all_files, all_pictures
 from ..runtime.text import InputError
 from ..schema import InitialSection
 from ._channels import Channel, Naming, infer_model, match_name, order
@@ -318,7 +319,7 @@ def parse_rename(pairs: list[str], option: str = "--rename") -> dict[str, str]:
 
 
 # What files of this toolkit end in: a folder of such a name is a slip.
-_FILES = (".csv", ".parquet", ".toml", ".json", ".png", ".txt", ".html")
+_FILES = (".csv", ".parquet", ".toml", ".json", *(f".{each}" for each in FORMATS), ".txt", ".html")
 
 
 def check_output_files(paths: Iterable[str | Path], *, force: bool) -> None:
@@ -327,7 +328,7 @@ def check_output_files(paths: Iterable[str | Path], *, force: bool) -> None:
     Raises:
         InputError: naming the file and what to do.
     """
-    for path in map(Path, paths):
+    for path in map(Path, all_pictures(paths)):
         check_path(path)
         if path.is_dir():
             raise InputError(f"{path} is a folder: give the name of a file")
@@ -385,7 +386,7 @@ def check_output_folder(
         raise InputError(f"{existing} {what}, but a folder is written: give another one")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise InputError(f"{existing} cannot be written: give another folder")
-    for name in names:
+    for name in all_pictures(names):
         check_path(folder / name)
         check_replaced(folder / name)
         if os.path.lexists(folder / name) and not force:
@@ -466,12 +467,15 @@ def write_run(
 def write_files(contents: Mapping[Path, bytes], *, force: bool) -> None:
     """Write files, all of them or, where one is there and `force` is false, none.
 
+    Those of a picture in other formats, too.
+
     Each is written beside its place and then moved there. A link that stands there is replaced
     like a file, if `force` says so; what it points to stays as it is.
 
     Raises:
         InputError: a file is there, or its folder is not, or it cannot be written.
     """
+    contents = all_files(contents)
     check_output_files(contents, force=force)
     temporary: dict[Path, Path] = {}
     with contextlib.ExitStack() as folders:

@@ -22,6 +22,7 @@ from ..recordings import (
 )
 from ..runtime.files import parse_json, read_bytes
 from ..runtime.limits import RESULT_BYTES
+from ..runtime.pictures import FORMATS
 from ..runtime.records import plain_data
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import find, switched_on
@@ -295,13 +296,16 @@ def _written(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
 
 def _remove_stale_pictures(folder: Path) -> None:
     """Remove the pictures and the page of an earlier fit, which do not show this one."""
-    of_runs = ("recorded.png", "recorded_*.png", "held_out_*.png")
-    whole = ("residuals.png", "correlation.png", "left_over.png", "bootstrap.png", "influence.png")
-    for pattern in (*of_runs, *whole, PAGE):
+    of_runs = ("recorded", "recorded_*", "held_out_*")
+    whole = ("residuals", "correlation", "left_over", "bootstrap", "influence")
+    pictures = (f"{name}.{each}" for name in (*of_runs, *whole) for each in FORMATS)
+    for pattern in (*pictures, PAGE):
         for path in folder.glob(pattern):
             try:
-                # A person's own picture of such a name does not carry the signature.
-                if SIGNATURE.encode() in path.read_bytes()[:200]:
+                # A person's own picture of such a name does not carry the signature, which a PDF
+                # has at its end. A page may say it anywhere.
+                content = path.read_bytes()
+                if SIGNATURE.encode() in (content[:200] if pattern == PAGE else content):
                     path.unlink()
             except OSError:
                 continue

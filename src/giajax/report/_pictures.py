@@ -561,7 +561,7 @@ def picture_files(
     held_out: Sequence[Run],
 ) -> dict[str, bytes]:
     """The pictures of a fit by the names of their files, of which the `names` of runs are parts."""
-    files = {}
+    files: dict[str, bytes] = {}
     everything = list(zip(runs, names, predictions, result.runs, strict=True))
     held = {(run.name, run.sha256): run for run in held_out}
     for run, name, predicted, record in (everything[index] for index in worth_drawing(result)):

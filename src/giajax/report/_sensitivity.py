@@ -22,7 +22,7 @@ def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: st
     rows = len(sensitivity.parameters)
     tall = float(np.clip(0.14 * len(names) + 1.2, 2.2, 5.0))
     figure = new_figure(10, rows * tall + 0.5, title or "Sensitivity of positions to parameters")
-    grid = figure.add_gridspec(rows, 2, width_ratios=[3, 1])
+    grid = figure.add_gridspec(rows, 2, width_ratios=[1, 3.4])
     counted = np.arange(sizes.shape[1], dtype=float)
     times = counted if sensitivity.times is None else sensitivity.times
     units = {Channel.named(name).si_unit for name in sensitivity.channels}
@@ -30,25 +30,27 @@ def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: st
     places = np.arange(len(names))
     every = -(-len(names) // _MOST_NAMES)
     for row, path in enumerate(sensitivity.parameters):
-        axes = figure.add_subplot(grid[row, 0])
-        unit = sensitivity.units[row]
+        unit, value = sensitivity.units[row], sensitivity.values[row]
+        side = figure.add_subplot(grid[row, 0])
+        side.barh(places, 100 * shares[:, row], color=BLUE, height=0.75)
+        plain(side, "Share of the information", "share (%)")
+        side.grid(False, axis="y")
+        side.set_yticks(places[::every], names[::every])
+        if not shares[:, row].any():
+            side.text(0.5, 0.5, "none", transform=side.transAxes, color=GREY, ha="center")
+        axes = figure.add_subplot(grid[row, 1], sharey=side)
         image = axes.pcolormesh(
             times, places, sizes[row].T, shading="nearest", cmap="cividis", rasterized=True
         )
-        plain(axes, f"{path} = {sensitivity.values[row]:.4g} {unit}".rstrip())
+        stated = f"{path} = {value:.4g} {unit}".rstrip()
+        error = f"expected standard error {_error(errors[row], unit)}"
+        across = "time (s)" if sensitivity.times is not None else "sample"
+        plain(axes, f"{stated}; {error}", across)
         axes.grid(False)
-        axes.set_yticks(places[::every], names[::every])
-        axes.set_xlabel("time (s)" if sensitivity.times is not None else "sample")
+        axes.tick_params(labelleft=False, left=False)
         bar = plain_colorbar(axes, image, pad=0.01)
-        bar.set_label(f"|d position / d parameter| ({of} per {unit or '1'})", fontsize=8)
-        side = figure.add_subplot(grid[row, 1], sharey=axes)
-        side.barh(places, 100 * shares[:, row], color=BLUE, height=0.75)
-        plain(side, f"expected error {_error(errors[row], unit)}")
-        side.grid(False, axis="y")
-        side.tick_params(labelleft=False)
-        side.set_xlabel("share of the information (%)")
-        if not shares[:, row].any():
-            side.text(0.5, 0.5, "none", transform=side.transAxes, color=GREY, ha="center")
+        per = f"{of} per {unit}" if unit else of
+        bar.set_label(f"change of position per change of parameter ({per})", fontsize=8)
     return figure
 
 

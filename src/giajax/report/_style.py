@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -14,6 +15,7 @@ from scipy.spatial import ConvexHull
 
 from ..fitting import FitResult
 from ..models import Block, Scene
+from ..runtime.pictures import Picture, picture_formats
 from ._text import SIGNATURE
 
 # Okabe and Ito's colours, which people who see red and green alike can tell apart.
@@ -24,7 +26,20 @@ INK, GREY, LIGHT = "#222222", "#767676", "#E3E3E3"
 MINUS = "\N{MINUS SIGN}"
 DEGREE = "\N{DEGREE SIGN}"
 
-_DPI = 130
+_HEADERS: dict[str, dict[str, Any]] = {
+    "png": {"Software": SIGNATURE},
+    # Without a date, the same picture is the same file.
+    "svg": {"Creator": SIGNATURE, "Date": None},
+    "pdf": {"Creator": SIGNATURE, "CreationDate": None},
+}
+
+_SETTINGS: Any = {
+    # Text that can be searched, read out and edited; whoever lacks the font sees another one.
+    "svg.fonttype": "none",
+    "svg.hashsalt": "giajax",
+    # TrueType: journals refuse Type 3.
+    "pdf.fonttype": 42,
+}
 
 
 def new_figure(width: float, height: float, title: str) -> Figure:
@@ -70,15 +85,26 @@ def as_data(content: bytes) -> str:
     return "data:image/png;base64," + base64.b64encode(content).decode()
 
 
-def to_png(figure: Figure) -> bytes:
-    """The picture as a PNG file; the same bytes for the same picture."""
-    figure.set_dpi(_DPI)
+def to_png(figure: Figure) -> Picture:
+    """The picture as a PNG file, with the other formats that were chosen.
+
+    The same bytes for the same picture.
+    """
+    chosen = picture_formats()
+    figure.set_dpi(chosen.dpi)
     if (engine := figure.get_layout_engine()) is not None:
         # Matplotlib draws a picture twice to lay it out once.
         engine.execute(figure)
         figure.set_layout_engine("none")
+    with matplotlib.rc_context(_SETTINGS):
+        files = {each: _saved(figure, each, chosen.dpi) for each in ("png", *chosen.more)}
+    return Picture(files.pop("png"), files)
+
+
+def _saved(figure: Figure, ending: str, dpi: int) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": SIGNATURE})
+    metadata = {**_HEADERS[ending], "Title": figure.get_suptitle()}
+    figure.savefig(buffer, format=ending, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
 
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from ...recordings import Channel
-from ...report import BLUE, DEGREE, GREY, VERMILLION, new_figure, plain
+from ...report import BLUE, DEGREE, GREY, INK, VERMILLION, new_figure, plain
 from ...runtime.records import plain_data
 from ...studies import body_of
 from ._experiment import Design, Expected
@@ -18,8 +19,6 @@ from ._experiment import Design, Expected
 DESIGN_HEADINGS = ("parameter", "value", "design", "base step", "ratio", "fit before", "unit")
 _STYLES = (("design", BLUE, "-"), ("base step", VERMILLION, "--"))
 _MOST_NAMES = 12
-
-_FAR_APART = 30.0  # bars that differ by more than this are seen on a logarithmic axis only
 
 
 def design_rows(found: Design) -> list[tuple[Any, ...]]:
@@ -98,7 +97,7 @@ def _commands(axes: Axes, both: Sequence[Expected]) -> None:
             drawn: Any = {"color": colour, "alpha": max(1 - 0.25 * index, 0.25)}
             named = f"{label}, {name.removesuffix('_command')}"
             axes.plot(one.run.times, np.degrees(row), style, label=named, **drawn)
-    plain(axes, "command", "time (s)", f"angle ({DEGREE})")
+    plain(axes, "Command", "time (s)", f"commanded angle ({DEGREE})")
     axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1, 1))
 
 
@@ -110,33 +109,40 @@ def _path(axes: Axes, both: Sequence[Expected]) -> None:
     for (label, colour, style), one in zip(_STYLES, both, strict=True):
         axes.plot(one.times, one.predicted[most], style, color=colour, label=label)
     unit = Channel.named(most).si_unit
-    plain(axes, f"where {last} goes", "time (s)", f"{most} ({unit})" if unit else most)
+    plain(axes, f"Motion of {last}", "time (s)", f"{most} ({unit})" if unit else most)
 
 
 def _errors(axes: Axes, found: Design) -> None:
     """Standard errors over the values, where both are finite."""
     paths = [row[0] for row in design_rows(found)][:_MOST_NAMES]
     places = np.arange(len(paths))[::-1]
-    bars = [
-        ("design", BLUE, found.designed.errors),
-        ("base step", VERMILLION, found.base_step.errors),
+    missing: dict[int, list[str]] = {}
+    shown = [
+        ("fit before", GREY, "D", found.before),
+        ("base step", VERMILLION, "s", found.base_step.errors),
+        ("design", BLUE, "o", found.designed.errors),
     ]
-    if found.before:
-        bars.append(("fit before", GREY, found.before))
-    high = 0.8 / len(bars)
-    sizes: list[float] = []
-    for index, (label, colour, errors) in enumerate(bars):
+    for label, colour, mark, errors in shown:
+        if not errors:
+            continue
         shares = [
             100 * errors.get(path, math.inf) / (abs(found.parameters[path][0]) or 1.0)
             for path in paths
         ]
         finite = [share if share < math.inf else math.nan for share in shares]
-        sizes += [share for share in shares if 0 < share < math.inf]
-        middle = places + high * ((len(bars) - 1) / 2 - index)
-        axes.barh(middle, finite, 0.9 * high, color=colour, label=label)
-    if sizes and max(sizes) > _FAR_APART * min(sizes):
-        axes.set_xscale("log")
-    plain(axes, "standard errors to expect, of the value", "%")
-    axes.grid(False, axis="y")
+        axes.plot(finite, places, mark, color=colour, markersize=7, label=label)
+        for share, place in zip(shares, places, strict=True):
+            if share == math.inf:
+                missing.setdefault(int(place), []).append(label)
+    for place, labels in missing.items():
+        words = f"not determined: {', '.join(labels)}"
+        beside: Any = {"textcoords": "offset points", "fontsize": 7, "color": INK, "ha": "right"}
+        axes.annotate(words, (1, place), (0, 8), axes.get_yaxis_transform(), **beside)
+    # A logarithmic axis has no base that a bar could stand on: marks.
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(LogFormatter())
+    axes.xaxis.set_minor_formatter(LogFormatter())
+    plain(axes, "Expected standard errors", "standard error over the value (%)")
     axes.set_yticks(places, [path.replace(".", ".\n", 1) for path in paths])
-    axes.legend(fontsize=8, frameon=False)
+    axes.set_ylim(-0.5, len(paths) - 0.5)
+    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0, -0.15), ncols=3)

@@ -15,7 +15,10 @@ from matplotlib.figure import Figure
 from ...models import arm_scene
 from ...report import (
     BLUE,
+    DEGREE,
+    GREEN,
     GREY,
+    INK,
     LIGHT,
     VERMILLION,
     draw_blocks,
@@ -35,6 +38,8 @@ MISSION_FILES = ("mission.json", "mission.png")
 
 _GROUND = 500.0  # larger than a building, m
 _SHAPES = 6  # shapes of the arm in a picture, from the first to the last
+_LIGHTEST = 0.75  # of the colour map: yellow cannot be seen on white
+_BENT_MOST = ((BLUE, "-"), (VERMILLION, "--"), (GREEN, "-."), (INK, ":"))
 
 
 def mission_files(mission: Mission, outcome: Outcome) -> dict[str, bytes]:
@@ -98,11 +103,11 @@ def _shapes(panel: Axes, mission: Mission, outcome: Outcome, axes: str) -> None:
     ]
     last = max(len(scenes) - 1, 1)
     for place, (row, scene) in enumerate(zip(rows, scenes, strict=True)):
-        colour = to_hex(colormaps["viridis"](0.9 * (1 - place / last)))
+        colour = to_hex(colormaps["viridis"](_LIGHTEST * (1 - place / last)))
         draw_scene(panel, scene, 0, axes=axes, colours={"link": colour})
-        panel.plot([], [], color=colour, label=f"{outcome.times[row]:.0f} s")
+        panel.plot([], [], color=colour, linewidth=3, label=f"{outcome.times[row]:.0f} s")
     seen = ["xyz".index(name) for name in axes]
-    panel.plot(*outcome.tip[:, seen].T, color=GREY, linewidth=0.8, label="tip")
+    panel.plot(*outcome.tip[:, seen].T, ":", color=INK, linewidth=1.0, label="path of the tip")
     points = [scene.lines[k].points[0][:, seen] for scene in scenes for k in range(arm.count)]
     corners = np.asarray(mission.opening.corners)[:, seen]
     low, high = (of(np.concatenate([*points, corners]), axis=0) for of in (np.min, np.max))
@@ -116,37 +121,52 @@ def _shapes(panel: Axes, mission: Mission, outcome: Outcome, axes: str) -> None:
     panel.plot(*outline.T, color=VERMILLION, linewidth=2.0, label="opening", zorder=6)
     title = "From the side" if axes == "xz" else "From above"
     plain(panel, title, f"{axes[0]} (m)", f"{axes[1]} (m)")
+    panel.grid(False)
     panel.set_aspect("equal")
     if axes == "xz":
-        panel.legend(fontsize=7, frameon=False, loc="upper right")
+        panel.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1, 1))
 
 
 def _way(panel: Axes, mission: Mission, outcome: Outcome) -> None:
     opening = mission.opening
-    for points, style, name in ((outcome.tip, "-", ""), (outcome.believed, ":", ", believed")):
+    for points, style, name in (
+        (outcome.tip, "-", ""),
+        (outcome.believed, ":", ", as the operator believes"),
+    ):
         local = np.asarray(opening.local(jnp.asarray(points)))
         beside = np.linalg.norm(local[:, 1:], axis=1)
-        panel.plot(outcome.times, local[:, 0], style, color=BLUE, label=f"before it{name}")
-        panel.plot(outcome.times, beside, style, color=VERMILLION, label=f"beside its axis{name}")
+        for of, values, mark, colour in (
+            ("its plane", local[:, 0], "o", BLUE),
+            ("its axis", beside, "s", VERMILLION),
+        ):
+            marks: Any = {} if name else {"marker": mark, "markevery": 0.1, "markersize": 4}
+            panel.plot(
+                outcome.times, values, style, color=colour, label=f"from {of}{name}", **marks
+            )
     seen = outcome.corners >= 2
     edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(int)))
     for first, end in zip(edges[::2], edges[1::2], strict=True):
         panel.axvspan(outcome.times[first], outcome.times[end - 1], color=LIGHT, linewidth=0)
     panel.axhline(-mission.section.beyond_m, color=GREY, linewidth=0.8, linestyle="--")
     panel.set_ylim(-2, min(16, max(4.0, float(np.nanmax(np.abs(outcome.tip))))))
-    plain(panel, "The tip and the opening (grey: in the picture)", "time (s)", "m")
-    panel.legend(fontsize=7, frameon=False)
+    title = "The tip and the opening (grey: the camera sees it)"
+    plain(panel, title, "time (s)", "distance of the tip (m)")
+    panel.legend(fontsize=8, frameon=False)
 
 
 def _commands(panel: Axes, outcome: Outcome) -> None:
-    last = max(outcome.command.shape[1] - 1, 1)
-    for joint, column in enumerate(outcome.command.T):
-        colour = colormaps["viridis"](0.9 * joint / last)
-        ends = joint in (0, outcome.command.shape[1] - 1)
-        label = f"joint {joint + 1}" if ends else None
-        panel.plot(outcome.times, np.rad2deg(column), color=colour, linewidth=0.8, label=label)
-    plain(panel, "Commands", "time (s)", "deg")
-    panel.legend(fontsize=7, frameon=False)
+    """Those of the joints that are bent most in colour, the others in grey."""
+    angles = np.rad2deg(outcome.command)
+    order = np.argsort(-np.ptp(angles, axis=0), kind="stable")
+    most = np.sort(order[: len(_BENT_MOST)])
+    for joint in order[len(_BENT_MOST) :]:
+        label = "other joints" if joint == order[-1] else None
+        panel.plot(outcome.times, angles[:, joint], color=GREY, linewidth=0.5, label=label)
+    for joint, (colour, style) in zip(most, _BENT_MOST, strict=False):
+        line: Any = {"color": colour, "linestyle": style, "linewidth": 1.4}
+        panel.plot(outcome.times, angles[:, joint], label=f"joint {joint + 1}", **line)
+    plain(panel, "Commands", "time (s)", f"commanded angle ({DEGREE})")
+    panel.legend(fontsize=8, frameon=False)
 
 
 CASES_FILES = ("cases.json", "cases.csv", "cases.png")

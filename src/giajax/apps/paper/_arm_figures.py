@@ -395,7 +395,13 @@ def _draw(panel: Axes, run: Run, channel: str, curves: dict[str, np.ndarray]) ->
 PRINTED = {"with_air": (77, 94, 51, 62, 71), "without_air": (78, 32, -99, -190, -45)}
 """The paper's table, %: links 2, 6, 12, 20, and their average."""
 
-COLOURS = {"with_air": BLUE, "without_air": VERMILLION, "refitted": GREY, "own": GREEN}
+MARKS = {
+    "with_air": (BLUE, "o"),
+    "without_air": (VERMILLION, "s"),
+    "refitted": (GREY, "^"),
+    "own": (GREEN, "v"),
+}
+"""A colour for each model, and a marker that tells them apart in grey print."""
 
 _TABLE3_SOURCES = Sources(
     printed="the definition of the concordance (mean of 1 - |Xm - Xe| / |Xe| every 0.1 s from 10 "
@@ -462,26 +468,33 @@ def _rows(
 
 
 def _table3_drawn(rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -> Figure:
+    """Both measures as errors, so that one logarithmic scale shows 1 % and 3000 %.
+
+    A concordance, which may be far below 0, is 100 % less a mean error, which may not.
+    """
     title = f"Table 3: {len(rates['own'])} runs of a stand-in that MuJoCo simulated"
-    figure = new_figure(11, 5.2, title)
-    left, right = figure.subplots(1, 2)
-    _dots(left, rates)
+    figure = new_figure(11, 5.4, title)
+    left, right = figure.subplots(1, 2, sharey=True)
+    _dots(left, {name: 1 - each for name, each in rates.items()})
     for name, numbers in PRINTED.items():
-        diamonds: Any = {"marker": "D", "markersize": 5, "markerfacecolor": COLOURS[name]}
-        label = "printed in the paper" if name == "with_air" else None
+        colour, mark = MARKS[name]
+        hollow: Any = {"marker": mark, "markersize": 9, "markerfacecolor": "none"}
+        label = f"{CONTENDERS[name].label}: printed in the paper"
         at = np.arange(len(_PLACES)) + _offset(name)
-        left.plot(at, numbers, color=INK, linewidth=0, zorder=4, label=label, **diamonds)
-    left.set_yscale("symlog", linthresh=100)
-    left.set_ylim(top=130)
-    left.yaxis.set_major_formatter("{x:g}")
-    left.axhline(100, color=INK, linewidth=0.6)
-    plain(left, "concordance (%), linear above -100")
+        values = 100 - np.asarray(numbers)
+        left.plot(at, values, color=colour, linewidth=0, markeredgewidth=1.6, label=label, **hollow)
     _dots(right, errors)
-    right.set_yscale("log")
-    right.yaxis.set_major_formatter("{x:g}")
-    plain(right, "RMS error over RMS displacement (%)")
+    left.set_yscale("log")
+    left.yaxis.set_major_formatter("{x:g}")
+    plain(
+        left, "The paper's measure: a concordance is 100 % less this", up="mean relative error (%)"
+    )
+    plain(right, "RMS error", up="RMS error over RMS displacement (%)")
+    right.tick_params(labelleft=True)
+    for panel in (left, right):
+        panel.grid(False, axis="x")
     handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=3, fontsize=8, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     return figure
 
 
@@ -490,14 +503,17 @@ def _offset(name: str) -> float:
 
 
 def _dots(panel: Axes, values: dict[str, np.ndarray]) -> None:
-    """A dot for each run, and a bar at the median."""
+    """A mark for each run, and a bar at the median."""
     for name, each in values.items():
         percent = 100 * with_average(each)
         for place, column in enumerate(percent.T):
-            at, colour = place + _offset(name), COLOURS[name]
-            dots: Any = {"marker": "o", "markersize": 3, "markeredgewidth": 0, "linewidth": 0}
-            panel.plot(np.full(len(column), at), column, color=colour, alpha=0.5, **dots)
-            bar = [at - 0.07, at + 0.07], [np.median(column)] * 2
+            at, (colour, mark) = place + _offset(name), MARKS[name]
+            marks: Any = {"marker": mark, "markersize": 4, "markeredgewidth": 0, "linewidth": 0}
             label = CONTENDERS[name].label if place == 0 else None
-            panel.plot(*bar, color=colour, linewidth=2, label=label)
+            panel.plot(
+                np.full(len(column), at), column, color=colour, alpha=0.6, label=label, **marks
+            )
+            bar = [at - 0.08, at + 0.08], [np.median(column)] * 2
+            label = "median" if (name, place) == ("own", 0) else None
+            panel.plot(*bar, color=INK, linewidth=1.2, zorder=5, label=label)
     panel.set_xticks(range(len(_PLACES)), _PLACES)

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 from ...report import to_csv, to_png
 from ...runtime.page_policy import with_policy
+from ...runtime.pictures import all_pictures
 from ...runtime.records import plain_data
 from ...runtime.text import InputError, __version__
 from ._arm_figures import fig05, fig19, table3
@@ -111,6 +112,7 @@ def stored_record(folder: Path, name: str) -> dict[str, Any] | None:
     try:
         stored = json.loads(record.read_bytes())
         whole = picture.read_bytes().endswith(_PNG_END) and table.stat().st_size > 0
+        whole &= all(Path(each).exists() for each in all_pictures([picture]))
         same = (stored["name"], stored["giajax"]) == (name, __version__)
         missing = {"title", "sources", "table"} - stored.keys()
     except (OSError, ValueError, TypeError, KeyError, AttributeError):

@@ -50,33 +50,35 @@ def track_figure(found: Track, title: str = "") -> Figure:
             if stamps is not None and there.any():
                 late = found.arm.delay_of("camera.delay") or 0.0
                 axes[k].plot(stamps - late, shown, ".", color=GREY, ms=2, label="measured")
-        for states, colour, label in (
-            (found.filtered, BLUE, "filter"),
-            (found.smoothed, VERMILLION, "smoother"),
+        for states, line, label in (
+            (found.filtered, {"color": BLUE, "lw": 0.8}, "filter"),
+            (found.smoothed, {"color": VERMILLION, "lw": 1.6}, "smoother"),
         ):
-            _band(axes[k], times, states.tip[:, k], states.tip_deviations[:, k], colour, label)
+            _band(axes[k], times, states.tip[:, k], states.tip_deviations[:, k], line, label)
         plain(axes[k], "", "", f"tip {axis} (m)")
     axes[0].legend(fontsize=8, frameon=False, ncols=3)
     if blows:
-        for k, (axis, colour) in enumerate(zip("xyz", (GREY, BLUE, VERMILLION), strict=True)):
+        lines = ((GREY, ":"), (BLUE, "-"), (VERMILLION, "--"))
+        for k, (axis, (colour, style)) in enumerate(zip("xyz", lines, strict=True)):
             wind, spread = found.smoothed.wind, found.smoothed.wind_deviations
             assert wind is not None
             assert spread is not None
-            _band(axes[3], times, wind[:, k], spread[:, k], colour, axis)
+            line = {"color": colour, "ls": style, "lw": 1.2}
+            _band(axes[3], times, wind[:, k], spread[:, k], line, axis)
         plain(axes[3], "", "", "mean wind\nof the links (m/s)")
         axes[3].legend(fontsize=8, frameon=False, ncols=3)
     whitened = np.where(found.there, found.whitened, np.nan)
     axes[-1].plot(times, whitened, ".", color=BLUE, ms=2)
     for level in (-2, 2):
         axes[-1].axhline(level, color=GREY, lw=0.8, ls=":")
-    plain(axes[-1], "", "time (s)", "innovations\n(deviations)")
+    plain(axes[-1], "", "time (s)", "innovations\n(standard deviations)")
     return figure
 
 
-def _band(axes: Any, times: Any, mean: Any, spread: Any, colour: str, label: str) -> None:
+def _band(axes: Any, times: Any, mean: Any, spread: Any, line: Any, label: str) -> None:
     low, high = mean - BAND * spread, mean + BAND * spread
-    axes.fill_between(times, low, high, color=colour, alpha=0.2, lw=0)
-    axes.plot(times, mean, color=colour, lw=1, label=label)
+    axes.fill_between(times, low, high, color=line["color"], alpha=0.2, lw=0)
+    axes.plot(times, mean, label=label, **line)
 
 
 def estimate_columns(found: Track) -> dict[str, np.ndarray]:
