@@ -95,7 +95,12 @@ def _in_space() -> None:
         for line in scene.lines:
             body = _balloon(line.points[sample], float(line.radii[0]))
             panel.plot_surface(
-                *body, color=_SHADES[sample], lightsource=light, linewidth=0, antialiased=False, zorder=sample
+                *body,
+                color=_SHADES[sample],
+                lightsource=light,
+                linewidth=0,
+                antialiased=False,
+                zorder=sample,
             )
         aside = (-0.8, 0.0, -0.9) if time == 0 else (0.3, 0.0, 0.1)
         place = scene.markers["tip"][sample] + np.asarray(aside)
