@@ -80,7 +80,7 @@ def _animated() -> None:
 
 
 def _in_space() -> None:
-    """The arm in three dimensions while its first two joints turn: a body for each of some times."""
+    """The arm in three dimensions at some times, while its first two joints turn."""
     arm = giajax.takeichi_20m()
     angles = {1: np.deg2rad(30), 2: np.deg2rad(-40)}
     times = np.array([0.0, 3.0, 7.0, 25.0])
