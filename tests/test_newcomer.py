@@ -10,6 +10,7 @@ import os
 import re
 import signal
 import subprocess
+import tempfile
 import time
 from pathlib import Path
 
@@ -78,10 +79,10 @@ class Terminal:
         self._opened.unlink(missing_ok=True)
         process = self.start(line)
         try:
-            while not self._opened.exists():
+            while not (self._opened.exists() and self._opened.read_text().endswith("\n")):
                 assert process.poll() is None, process.communicate()
                 time.sleep(0.1)
-            yield self._opened.read_text().strip()
+            yield self.last_opened()
         finally:
             os.killpg(process.pid, signal.SIGINT)
             process.communicate()
@@ -119,7 +120,7 @@ def look(address, tmp_path, script):
     browser = browse.installed()
     if browser is None:
         return
-    with opened(browser, tmp_path / "profile") as page:
+    with opened(browser, tempfile.mkdtemp(dir=tmp_path)) as page:
         page.open(address)
         page.wait(script, seconds=60.0)
         assert page.complaints == []
