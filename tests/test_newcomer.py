@@ -135,7 +135,7 @@ def test_the_readme_from_top_to_bottom_with_a_file_of_ones_own(tmp_path):
     record(clone / "run.csv")
     done = {}
     for language, block in re.findall(r"^```(\w*)\n(.*?)^```$", readme, re.MULTILINE | re.DOTALL):
-        if language == "csv":
+        if language == "text":
             (clone / "shown.csv").write_text(block)
             terminal.run("giajax check --data shown.csv")
         elif language == "python":
