@@ -190,7 +190,9 @@ class Progress:
             _say(f"(and {len(paths) - len(shown)} parameters for which the terminal is too narrow)")
 
     def _row(self, cells: list[str]) -> None:
-        _say((" " * _GAP).join(map(str.rjust, cells, self._widths)).rstrip())
+        # Where not all parameters are shown there are fewer widths than cells.
+        columns = zip(cells, self._widths, strict=False)
+        _say((" " * _GAP).join(cell.rjust(width) for cell, width in columns).rstrip())
 
 
 _BEFORE, _GAP = (4, 11, 8, 5), 2  # widths of what is before the parameters, and what is between

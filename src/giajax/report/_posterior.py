@@ -196,16 +196,14 @@ def posterior_rows(summary: PosteriorSummary, result: FitResult) -> list[list[st
     factors = column_factors(result.model)
     units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
     rows = []
-    for label, one in summary.parameters.items():
-        unit = units.get(label.partition(" of ")[0], one.unit)
-        rows.append(_row(label, one.times(factors.get(_path(label), 1.0), unit)))
+    for label, marginal in summary.parameters.items():
+        unit = units.get(label.partition(" of ")[0], marginal.unit)
+        rows.append(_row(label, marginal.times(factors.get(_path(label), 1.0), unit)))
     known = in_column_units(result.parameters, result.model)
     for path in summary.held:
-        unit, value = "-", None
-        if path in known:
-            unit, value = known[path].unit or "-", known[path].value
-        shown, _ = format_estimate(value, None)
-        rows.append([path, unit, shown, "-", "not determined", *["-"] * 4])
+        one = known.get(path)  # there is none of a single element, or of a single run
+        shown, unit = ("-", "") if one is None else (format_estimate(one.value, None)[0], one.unit)
+        rows.append([path, unit or "-", shown, "-", "not determined", *["-"] * 4])
     return rows
 
 
