@@ -157,7 +157,7 @@ def test_the_readme_from_top_to_bottom_with_a_file_of_ones_own(tmp_path):
     for path, truth in OWN.items():
         one = found["parameters"][path]
         assert abs(one["value"] - truth) < 4 * one["standard_error"]
-    make_mistakes(terminal, clone)
+    make_mistakes(terminal, clone, estimates(done["giajax fit --data run.csv"]))
 
 
 def follow(terminal, line, clone, tmp_path):
@@ -195,7 +195,7 @@ def state_noise(sidecar):
     sidecar.write_text(text.replace(offered, f"position_m = {NOISE} "))
 
 
-def make_mistakes(terminal, clone):
+def make_mistakes(terminal, clone, printed):
     """Mistakes of a first day, each mended by what its message says."""
     header, rows = (clone / "run.csv").read_text().split("\n", 1)
     for wrong, status in (("joint1_comand_deg", 2), ("joint01_command_rad", 0)):
@@ -206,8 +206,8 @@ def make_mistakes(terminal, clone):
         mended = terminal.run(f"giajax check --data {name} --strict {advice}")
         assert "joint01_command " in mended
         assert advice not in mended
-    line = "giajax fit --data run.csv --out alone --no-suspects --no-figures --free "
+    # The right name is one of those that the fit has printed: nothing is fitted once more.
     wrong = "air.drag_coeficient"
-    said = terminal.run(line + wrong, status=2)
-    (right,) = re.findall(rf"'{wrong}': did you mean '(\S+)'", said)
-    assert estimates(terminal.run(line + right))[right][1] != "-"
+    said = terminal.run(f"giajax fit --data run.csv --free {wrong}", status=2)
+    (right,) = re.findall(rf"'{wrong}': did you mean '(\S+)'\?", said)
+    assert right in printed
