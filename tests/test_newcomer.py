@@ -122,7 +122,7 @@ def look(address, tmp_path, script):
         return
     with opened(browser, tempfile.mkdtemp(dir=tmp_path)) as page:
         page.open(address)
-        page.wait(script, seconds=60.0)
+        page.wait(script, seconds=120.0)
         assert page.complaints == []
 
 
