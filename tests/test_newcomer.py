@@ -169,7 +169,8 @@ def follow(terminal, line, clone, tmp_path):
         return said
     if line.startswith("giajax view"):
         with terminal.serving(line) as address:
-            look(address, tmp_path, "document.querySelector('canvas').width > 0")
+            drawn = "[...document.querySelectorAll('canvas')].some((one) => one.width > 300)"
+            look(address, tmp_path, drawn)
         return ""
     said = terminal.run(line)
     if line == "make demo":
