@@ -53,9 +53,11 @@ $(VENV)/.installed-dev: pyproject.toml $(CONSTRAINTS) | $(VENV)/bin/python
 demo: $(VENV)/.installed
 	$(BIN)/giajax fit --data data/synthetic/base_step.csv
 	@echo
-	@echo "giajax is installed in $(VENV): begin with '. $(BIN)/activate', then 'giajax --help'."
-	@echo "The fit as a page for a browser, giajax-out/base_step/report.html:"
+	@echo "giajax is installed in $(VENV). To use it in this terminal:"
+	@echo "  . $(BIN)/activate && giajax --help"
+	@echo "To write this fit as a page, and to open the page in a browser:"
 	@echo "  $(BIN)/python -m pip install -e '.[report]' && $(BIN)/giajax report giajax-out/base_step"
+	@echo "  $(BIN)/python -m webbrowser 'file://$(CURDIR)/giajax-out/base_step/report.html'"
 
 check: $(VENV)/.installed-dev
 	@$(MAKE) --no-print-directory --jobs=2 --keep-going lint types quick

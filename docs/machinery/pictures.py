@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.colors import LightSource
 
 import giajax
 from evidence._tracking import DELAY, INTENSITY, LENGTH_SCALE, MEAN, recorded
@@ -73,6 +74,66 @@ def _animated() -> None:
     animation.save(FOLDER / "arm.gif", writer=PillowWriter(fps=round(rate)), dpi=80)
 
 
+def _in_space() -> None:
+    """The arm in three dimensions at some times, while its first two joints turn."""
+    arm = giajax.takeichi_20m()
+    angles = {1: np.deg2rad(30), 2: np.deg2rad(-40)}
+    times = np.array([0.0, 3.0, 7.0, 25.0])
+    command = giajax.joint_ramps(arm.count, angles, start=0.5, duration=1.5)
+    scene = giajax.models.arm_scene(giajax.simulate(arm, command, jnp.asarray(times)))
+    figure = new_figure(8.6, 4.1, "")
+    figure.set_layout_engine("none")
+    # A panel of three dimensions is square, and cuts off what is outside: as wide as the figure.
+    panel = figure.add_axes((-0.05, -0.61, 1.0, 2.15), projection="3d", computed_zorder=False)
+    light = LightSource(azdeg=300, altdeg=50)
+    for sample, time in enumerate(times):
+        for line in scene.lines:
+            body = _balloon(line.points[sample], float(line.radii[0]))
+            panel.plot_surface(
+                *body,
+                color=_SHADES[sample],
+                lightsource=light,
+                linewidth=0,
+                antialiased=False,
+                zorder=sample,
+            )
+        aside = (-0.8, 0.0, -0.9) if time == 0 else (0.3, 0.0, 0.1)
+        place = scene.markers["tip"][sample] + np.asarray(aside)
+        panel.text(*place, f"{time:.0f} s", fontsize=9)
+    low, high = scene.extent()
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    panel.set_box_aspect(high - low, zoom=0.8)
+    panel.set(xticks=range(0, 21, 5), yticks=range(-10, 1, 2), zticks=range(-1, 4))
+    panel.set(ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    panel.view_init(elev=24, azim=-60)
+    panel.set_xlabel("x, ahead (m)", labelpad=14)
+    panel.set_ylabel("y, left (m)", labelpad=8)
+    panel.set_zlabel("z, up (m)")
+    panel.tick_params(labelsize=8)
+    (FOLDER / "arm.png").write_bytes(to_png(figure))
+
+
+_SHADES = ("#D9D9D9", "#9ECAE1", "#4C93C0", "#08519C")  # from light to dark, as time goes on
+
+
+def _balloon(ends: np.ndarray, radius: float) -> np.ndarray:
+    """A round body with round ends from one point to another: coordinates of its surface."""
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    across = np.cross(along, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    upright = np.cross(along, across)
+    cap = np.linspace(0.0, np.pi / 2, 6)
+    length = np.linalg.norm(ends[1] - ends[0])
+    # The round ends are flat: neighbours touch in the middle alone.
+    depth = 0.4 * radius
+    places = np.concatenate([depth * (1 - np.cos(cap)), length - depth * (1 - np.cos(cap[::-1]))])
+    radii = radius * np.concatenate([np.sin(cap), np.sin(cap[::-1])])
+    turn = np.linspace(0.0, 2 * np.pi, 25)
+    ring = across[:, None] * np.cos(turn) + upright[:, None] * np.sin(turn)
+    centres = ends[0][:, None] + along[:, None] * places
+    return centres[:, :, None] + radii[:, None] * ring[:, None, :]
+
+
 def _wrinkling() -> None:
     """The explanations of fig. 12 that are nearest to the text."""
     study = one_link()
@@ -106,6 +167,7 @@ def _tracking() -> None:
 
 DRAWN_HERE: dict[str, Callable[[], None]] = {
     "arm.gif": _animated,
+    "arm.png": _in_space,
     "wrinkling.png": _wrinkling,
     "moves.png": _moves,
     "tracking.png": _tracking,

@@ -51,7 +51,11 @@ def test_more_chains_keep_those_that_are_there_and_a_page_shows_them(fit, tmp_pa
     (folder / "posterior.nc").write_bytes(b"of an earlier call, with ArviZ")
     before = {path.name: path.read_bytes() for path in (folder / "posterior_chains").iterdir()}
     assert main(["posterior", str(folder), "--chains", "3", "--force", *FEW]) == 0
-    assert "3 chains of 60 draws" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "3 chains of 60 draws" in out
+    (held,) = (line for line in out.splitlines() if line.startswith("friction.presliding "))
+    assert " not determined " in held
+    assert out.endswith(f"\nnext: giajax report {folder}\n")
     after = {path.name: path.read_bytes() for path in (folder / "posterior_chains").iterdir()}
     assert len(after) == 3
     assert before.items() <= after.items()

@@ -1,10 +1,17 @@
 """Tables of the command line: what is printed can be read and copied."""
 
+import re
+import shlex
+from types import SimpleNamespace
+
 import pytest
 from rich.console import Console
 
+from giajax.cli import main
 from giajax.cli._commands import print_table
-from giajax.runtime.text import ShownAsTable
+from giajax.cli._fit import Progress
+from giajax.fitting import Iteration
+from giajax.runtime.text import ShownAsTable, format_range
 
 NAMES = ("links.inertia_transverse", "joints.pitch_stiffness", "air.drag_coefficient")
 MEANING = "what a reader wants to know of it, in a sentence that goes over several lines"
@@ -47,3 +54,69 @@ def test_rich_shows_every_name_whole():
         console.print(Shown())
     for name in NAMES:
         assert name in captured.get()
+
+
+FREE = ("joints.pitch_stiffness", "joints.yaw_stiffness", "joints.damping", "air.drag_coefficient")
+MANY = [f"{path}[{index}]" for index, path in enumerate(FREE * 2)]
+
+
+def progress_lines(paths, capsys, monkeypatch):
+    """The heading and the row of a fit of these parameters."""
+    monkeypatch.setattr("giajax.fitting.column_factors", lambda model: {})
+    progress = Progress(SimpleNamespace(model=None, nuisances=()))
+    capsys.readouterr()
+    progress(Iteration(0, 1589.52, 0.0, True, dict.fromkeys(paths, 1234.5)))
+    return capsys.readouterr().err.splitlines()
+
+
+@pytest.mark.quick
+def test_progress_has_whole_names_where_no_terminal_is(capsys, monkeypatch):
+    heading, row = progress_lines(FREE, capsys, monkeypatch)
+    assert heading.split() == ["cost", "step", "taken", *FREE]
+    assert row.split() == ["0", "1589.52", *["1234.5"] * 4]
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(("paths", "shown"), [(FREE, 4), (MANY, 3), (FREE[:1], 1)])
+def test_progress_in_80_columns_cuts_no_name(paths, shown, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    lines = progress_lines(paths, capsys, monkeypatch)
+    assert max(map(len, lines)) <= 80
+    *head, row = lines
+    if shown < len(paths):
+        assert (
+            head.pop()
+            == f"(and {len(paths) - shown} parameters for which the terminal is too narrow)"
+        )
+    assert len(row.split()) == 2 + shown
+    ends = [match.end() for match in re.finditer(r"\S+", row)][2:]
+    for path, (start, end) in zip(paths, zip([34, *ends], ends, strict=False), strict=False):
+        assert "".join(line[start:end].strip() for line in head) == path
+
+
+@pytest.mark.quick
+def test_an_interval_ends_where_the_error_says():
+    assert format_range((1.08671, 1.13291), 0.0121) == "1.087 .. 1.133"
+    assert format_range((0.0, None), 0.0121) == "0.000 .. open"
+    assert format_range((1.08671, 1.13291)) == "1.0867 .. 1.1329"
+
+
+@pytest.mark.quick
+def test_what_follows_can_be_pasted(tmp_path, monkeypatch, capsys):
+    """From the file on, each command names the next one, with names that a shell must not split."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "my runs"
+    folder.mkdir()
+    (folder / "run.csv").write_text(
+        "t,joint01_command_deg,link06_z_m\n0,0,0.1\n0.1,30,0\n0.2,30,0\n"
+    )
+    words = ["check", "--data", "my runs/run.csv", "--rename", "t=time_s"]
+    seen = []
+    for _ in range(3):
+        assert main(words) == 0
+        (line,) = re.findall(r"next: giajax (.*)$", capsys.readouterr().out, re.MULTILINE)
+        words = shlex.split(line)
+        seen.append(words[0])
+    assert seen == ["init", "check", "fit"]
+    assert words == ["fit", "--data", "my runs/run.csv", "--rename", "t=time_s"]

@@ -653,6 +653,11 @@ def say_written(out: Path, names: Iterable[str]) -> None:
     typer.echo(f"\n{wrote}")
 
 
+def command_after(*words: str | Path) -> str:
+    """The command that follows on what was done, as somebody types it, with their own paths."""
+    return f"next: giajax {shlex.join(map(str, words))}"
+
+
 @contextlib.contextmanager
 def failed_simulation(options: str) -> Iterator[None]:
     """End a command whose simulation fails with a sentence, and the options that may help."""

@@ -18,6 +18,7 @@ from ._commands import (
     argument,
     check_quiet,
     command,
+    command_after,
     print_table,
 )
 from ._on_result import OnResult, on_result
@@ -201,3 +202,4 @@ def report(given: OnResult) -> None:
     write_files({page: made}, force=given.force)
     if not given.quiet:
         typer.echo(f"wrote {page} ({len(made) / 1e6:.1f} MB)")
+        typer.echo(command_after("view", given.result))

@@ -1,7 +1,6 @@
 """`giajax check`, `init`, `import`, `examples` and `cache`: recordings and files."""
 
 import json
-import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,6 +18,7 @@ from ._commands import (
     argument,
     check_quiet,
     command,
+    command_after,
     print_table,
 )
 from ._values import numbers
@@ -66,6 +66,8 @@ def check(
         print_table(headings, [_row(channel) for channel in facts["channels"]], left=3)
         if facts["notes"]:
             print("", *(f"note: {note}" for note in facts["notes"]), sep="\n")
+        following = "init" if facts["sidecar"] is None else "fit"
+        print(f"\n{command_after(following, *_named(data, rename))}")
     if strict and facts["oddities"]:
         raise typer.Exit(_ODD)
 
@@ -138,9 +140,13 @@ def init(
     sidecar = sidecar_path(data)
     text = sidecar_template(data, parse_rename(rename or []))
     write_files({sidecar: text.encode()}, force=force)
-    words = ["--data", str(data), *(word for pair in rename or [] for word in ("--rename", pair))]
     if not quiet:
-        typer.echo(f"wrote {sidecar}: fill it in, then run: giajax check {shlex.join(words)}")
+        typer.echo(f"wrote {sidecar}: fill it in; {command_after('check', *_named(data, rename))}")
+
+
+def _named(data: Path, rename: list[str] | None) -> list[str]:
+    """A run as another command is given it."""
+    return ["--data", str(data), *(word for pair in rename or [] for word in ("--rename", pair))]
 
 
 @command(
@@ -300,8 +306,8 @@ def import_(
         shown = {column.quantity for columns in table.things.values() for column in columns}
         rows, cells = ("pictures", "points") if shown & {"pixel", "length"} else ("rows", "values")
         what = f"{count} {rows}, {seen} {cells} found of {len(found) * count}"
-    following = f"giajax init --data {shlex.quote(str(to))}"
-    typer.echo(f"wrote {to}, from {table.program}: {what}; next: {following}")
+    following = command_after("init", "--data", to)
+    typer.echo(f"wrote {to}, from {table.program}: {what}; {following}")
 
 
 _DATA = ("data/synthetic", "data/independent", "data/recorded")
@@ -343,8 +349,8 @@ def examples(
         make_folder(folder)
     write_files(contents, force=force)
     if not quiet:
-        see = f"giajax fit {copy}/fits/base_step.toml"
-        typer.echo(f"copied {len(names)} files to {copy}; next: {see}")
+        following = command_after("fit", copy / "fits" / "base_step.toml")
+        typer.echo(f"copied {len(names)} files to {copy}; {following}")
 
 
 def examples_root() -> Path:

@@ -2,7 +2,9 @@
 
 import contextlib
 import dataclasses
+import math
 import os
+import re
 import shlex
 import shutil
 import statistics
@@ -36,6 +38,7 @@ from ._commands import (
     Workers,
     argument,
     command,
+    command_after,
     forget_starts,
     print_table,
     say_written,
@@ -164,24 +167,35 @@ class Progress:
         _say(f"start {number}")
 
     def _head(self, paths: list[str]) -> None:
-        # joints.pitch_stiffness in two short lines, so that four parameters go into 80 columns.
-        upper, lower = [], []
-        for path in paths:
-            before, _, name = path.rpartition(".")
-            front, _, back = name.rpartition("_")
-            upper.append(front or before)
-            lower.append(back)
-        self._widths = [4, 11, 8, 5] + [
-            max(9, len(a), len(b)) for a, b in zip(upper, lower, strict=True)
-        ]
-        self._row(["", "", "", "", *upper])
-        self._row(["", "cost", "step", "taken", *lower])
+        width = shutil.get_terminal_size().columns if sys.stderr.isatty() else math.inf
+        names = [[path] for path in paths]
+        if sum(_BEFORE) + sum(len(path) + _GAP for path in paths) > width:
+            # A name goes on below, joints. pitch_ stiffness: four parameters go into 80 columns.
+            names = [re.split(r"(?<=[._])(?=.)", path) for path in paths]
+        self._widths = list(_BEFORE)
+        for parts in names:
+            self._widths.append(max(9, *map(len, parts)))
+            if sum(self._widths) + _GAP * (len(self._widths) - 1) > width:
+                # No name and no number is cut: who is in a hurry sees the first ones.
+                self._widths.pop()
+                break
+        shown = names[: len(self._widths) - len(_BEFORE)]
+        depth = max(map(len, shown), default=1)
+        rows = zip(*([""] * (depth - len(parts)) + parts for parts in shown), strict=True)
+        *above, last = list(rows) or [()]
+        for row in above:
+            self._row(["", "", "", "", *row])
+        self._row(["", "cost", "step", "taken", *last])
+        if len(shown) < len(paths):
+            _say(f"(and {len(paths) - len(shown)} parameters for which the terminal is too narrow)")
 
     def _row(self, cells: list[str]) -> None:
-        line = "  ".join(c.rjust(w) for c, w in zip(cells, self._widths, strict=True)).rstrip()
-        if sys.stderr.isatty():
-            line = line[: shutil.get_terminal_size().columns]
-        _say(line)
+        # Where not all parameters are shown there are fewer widths than cells.
+        columns = zip(cells, self._widths, strict=False)
+        _say((" " * _GAP).join(cell.rjust(width) for cell, width in columns).rstrip())
+
+
+_BEFORE, _GAP = (4, 11, 8, 5), 2  # widths of what is before the parameters, and what is between
 
 
 def _in_windows(setup: "Setup") -> Progress:
@@ -397,6 +411,8 @@ def run_fit(
         say_written(files[0].parent, [path.name for path in files])
         if goes_on:
             print(f"\n{_go_on(task, result)}")
+        else:
+            print(command_after("view" if task.out / PAGE in files else "report", task.out))
         if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
             print(f"\n{hint}")
     if strict and asked.status == "converged" and asked.verdict.status in DOUBTED:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +18,7 @@ from ._commands import (
     ToRun,
     argument,
     command,
+    command_after,
     print_table,
     say_written,
     write_folder,
@@ -255,5 +255,5 @@ def compensate(
     low, high = (float(channel.from_si(end)) for end in (commands.min(), commands.max()))
     typer.echo(
         f"wrote {to}: {len(commands)} commands from {low:.4g} to {high:.4g} {channel.unit}; "
-        f"see: giajax check --data {shlex.quote(str(to))}"
+        f"{command_after('check', '--data', to)}"
     )

@@ -19,6 +19,7 @@ from ._commands import (
     argument,
     check_quiet,
     command,
+    command_after,
     origin,
     print_table,
     say_written,
@@ -69,9 +70,7 @@ def tell(
     else:
         typer.echo(f"\ninside after {outcome.reached:.1f} s, in air of {wind:g} m/s")
     if out is not None:
-        typer.echo(
-            f"wrote {shlex.quote(str(out))}; see: giajax view {shlex.quote(str(out / 'run.csv'))}"
-        )
+        typer.echo(f"wrote {shlex.quote(str(out))}; {command_after('view', out / 'run.csv')}")
 
 
 def tell_cases(

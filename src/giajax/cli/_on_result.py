@@ -7,7 +7,7 @@ is known by its type (`giajax.report.RecordView`).
 import dataclasses
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from inspect import Parameter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,6 +26,7 @@ from ._commands import (
     Workers,
     argument,
     command,
+    command_after,
     end_if_stopped,
     print_table,
     say_written,
@@ -136,7 +137,14 @@ class OnResult:
             typer.echo(found.to_json(), nl=False)
         elif not self.quiet:
             show(found, self.fitted, most)
-            say_written(next(iter(files)).parent, [path.name for path in files])
+            self.say_written(next(iter(files)).parent, [path.name for path in files])
+
+    def say_written(self, folder: Path, names: Iterable[str]) -> None:
+        """Say which files were written, and, of those beside the result, what shows them."""
+        say_written(folder, names)
+        if folder == self.home:
+            there = ["--force"] if (folder / "report.html").exists() else []
+            typer.echo(command_after("report", self.result, *there))
 
 
 def record_files(

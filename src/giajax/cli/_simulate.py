@@ -2,7 +2,6 @@
 
 import math
 import re
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,6 +22,7 @@ from ._commands import (
     ToRun,
     Wind,
     command,
+    command_after,
     failed_simulation,
     origin,
 )
@@ -418,7 +418,7 @@ def write_and_say(
     rows = len(next(iter(run.values.values())))
     typer.echo(
         f"wrote {out} and {sidecar_path(out)}: {what}{rows} rows, "
-        f"{len(run.observations)} channels; see: giajax check --data {shlex.quote(str(out))}"
+        f"{len(run.observations)} channels; {command_after('check', '--data', out)}"
     )
 
 

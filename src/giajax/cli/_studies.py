@@ -178,7 +178,7 @@ def posterior(
         typer.echo(found.summary.to_json(), nl=False)
     elif not given.quiet:
         show(found.summary, fitted)
-        say_written(folder, contents)
+        given.say_written(folder, contents)
     if is_stopped():
         raise Ended(stopped_status())
 

@@ -83,7 +83,7 @@ def sweep(
     if not quiet:
         _show(table, planned.columns)
         said = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n)
-        print(f"\n{len(table)} fits: {said}\nwrote {folder / TABLE}")
+        print(f"\n{len(table)} fits: {said}; values in SI units\nwrote {folder / TABLE}")
     if counts["stopped"]:
         typer.echo("giajax: the finished fits are kept: run the same command to continue", err=True)
         raise typer.Exit(stopped_status())

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from ..fitting import FitResult, column_factors, in_column_units
 from ..recordings import Run, unique_names
 from ..runtime.files import read_bytes
-from ..runtime.text import InputError, format_number, format_range
+from ..runtime.text import InputError, format_estimate, format_number, format_range
 from ..studies import Band, Marginal, Posterior, PosteriorSummary
 from ._pictures import channel_label, sample_times, time_label
 from ._style import (
@@ -189,29 +189,30 @@ POSTERIOR_FILES = (POSTERIOR, CORNER, BANDS, TABLE, *DRAWS)
 
 
 def posterior_rows(summary: PosteriorSummary, result: FitResult) -> list[list[str]]:
-    """A row of text for each parameter, under `POSTERIOR_HEADINGS`, in the columns' units."""
+    """A row of text for each parameter, under `POSTERIOR_HEADINGS`, in the columns' units.
+
+    Those that no channel responds to, which were held, come last.
+    """
     factors = column_factors(result.model)
     units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
     rows = []
-    for label, one in summary.parameters.items():
-        unit = units.get(label.partition(" of ")[0], one.unit)
-        rows.append(_row(label, one.times(factors.get(_path(label), 1.0), unit)))
+    for label, marginal in summary.parameters.items():
+        unit = units.get(label.partition(" of ")[0], marginal.unit)
+        rows.append(_row(label, marginal.times(factors.get(_path(label), 1.0), unit)))
+    known = in_column_units(result.parameters, result.model)
+    for path in summary.held:
+        one = known.get(path)  # there is none of a single element, or of a single run
+        shown, unit = ("-", "") if one is None else (format_estimate(one.value, None)[0], one.unit)
+        rows.append([path, unit or "-", shown, "-", "not determined", *["-"] * 4])
     return rows
 
 
 def _row(label: str, one: Marginal) -> list[str]:
-    digits = f".{_digits(one)}g"
-    ranges = [format_range(ends, digits) for ends in (one.interval, one.linear)]
+    deviation = one.deviation
+    ranges = [format_range(ends, deviation) for ends in (one.interval, one.linear)]
     sizes = [format_number(ess, ".0f") for ess in (one.ess_bulk, one.ess_tail)]
-    about = [label, one.unit or "-", f"{one.mean:{digits}}", f"{one.deviation:.2g}"]
-    return [*about, *ranges, format_number(one.r_hat, ".3f"), *sizes]
-
-
-def _digits(one: Marginal) -> int:
-    """As many as tell the ends of the interval apart."""
-    size = max(map(abs, one.interval))
-    width = one.interval[1] - one.interval[0]
-    return int(np.clip(np.ceil(np.log10(size / width)) + 3, 3, 12)) if width > 0 else 6
+    numbers = format_estimate(one.mean, deviation)
+    return [label, one.unit or "-", *numbers, *ranges, format_number(one.r_hat, ".3f"), *sizes]
 
 
 def posterior_files(found: Posterior, result: FitResult, runs: Sequence[Run]) -> dict[str, bytes]:

@@ -63,7 +63,8 @@ def profile_rows(profiles: Profiles, result: FitResult) -> list[list[str]]:
         factor, unit = _in_columns(profile, result.model)
         error = None if profile.standard_error is None else profile.standard_error * factor
         numbers = format_estimate(profile.value * factor, error)
-        ranges = [format_range(ends, factor=factor) for ends in (profile.linear, profile.interval)]
+        intervals = (profile.linear, profile.interval)
+        ranges = [format_range(ends, error, factor) for ends in intervals]
         rows.append([profile.name, *numbers, unit or "-", *ranges, "; ".join(profile.remarks)])
     return rows
 

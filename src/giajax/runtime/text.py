@@ -60,18 +60,25 @@ def format_number(value: float | None, digits: str = ".5g", missing: str = "-") 
 
 
 def format_range(
-    ends: Sequence[float | None] | None, digits: str = ".5g", factor: float = 1.0
+    ends: Sequence[float | None] | None, error: float | None = None, factor: float = 1.0
 ) -> str:
     """Both ends of an interval times a factor, `open` for one that is not there; a dash of None.
 
+    With a standard error they end at the decimal place at which `format_estimate` has a value end,
+    else they have 5 significant digits.
+
     Example:
-        >>> format_range((0.25, None), factor=2.0), format_range(None)
-        ('0.5 .. open', '-')
+        >>> format_range((0.25, None), factor=2.0), format_range((1.0867, 1.133), 0.012)
+        ('0.5 .. open', '1.087 .. 1.133')
     """
     if ends is None:
         return "-"
-    shown = (None if end is None else end * factor for end in ends)
-    return " .. ".join(format_number(end, digits, "open") for end in shown)
+
+    def shown(end: float) -> str:
+        value, known = format_estimate(end, error)
+        return format_number(end) if known == "-" else value
+
+    return " .. ".join("open" if end is None else shown(end * factor) for end in ends)
 
 
 def format_bounds(lower: float | None, upper: float | None) -> str:
