@@ -176,7 +176,7 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
         ),
         (
             {"channels": (ChannelKind("fullness", "fullness", "litres", "output"),)},
-            "the channel fullness is of no quantity 'litres': use time, angle",
+            "the channel fullness has the unknown quantity 'litres': use time, angle",
         ),
         ({"kind": property(lambda self: "kite")}, r"Balloon.kind is <property .*: make it a text"),
         ({"kind": "contents"}, "no section can be called 'contents': give the model another"),

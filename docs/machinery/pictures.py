@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -84,7 +85,7 @@ def _in_space() -> None:
     figure = new_figure(8.6, 4.1, "")
     figure.set_layout_engine("none")
     # A panel of three dimensions is square, and cuts off what is outside: as wide as the figure.
-    panel = figure.add_axes((-0.05, -0.61, 1.0, 2.15), projection="3d", computed_zorder=False)
+    panel: Any = figure.add_axes((-0.05, -0.61, 1.0, 2.15), projection="3d", computed_zorder=False)
     light = LightSource(azdeg=300, altdeg=50)
     for sample, time in enumerate(times):
         for line in scene.lines:

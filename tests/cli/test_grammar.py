@@ -71,7 +71,9 @@ def test_no_option_means_two_things():
 def test_a_command_that_draws_has_formats_and_a_resolution(name):
     known = options_of(name)
     said = [COMMANDS[name].examples, *(each.help or "" for each in GROUP.commands[name].params)]
-    draws = "--figures" in known or re.search(r"\bPNG\b|[.]png|pictures, and", " ".join(said))
+    draws = "--figures" in known or re.search(
+        r"\bPNG\b|[.]png|(pictures|figures), and", " ".join(said)
+    )
     assert ("--format" in known, "--dpi" in known) == (bool(draws),) * 2
 
 

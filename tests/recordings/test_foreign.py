@@ -264,8 +264,8 @@ def test_options_cut_shift_turn_and_choose(tmp_path, capsys):
     fast = imported(tmp_path, TRACKER, *plain, "--frame-rate", "240")
     np.testing.assert_allclose(fast.times, np.array([0, 1, 3]) / 240)
     for text, wrong, says in [
-        (TRACKER, ["--flip", "w"], "--flip w is none of"),
-        (TRACKER, ["--only", "nose"], "--only nose is none of"),
+        (TRACKER, ["--flip", "w"], "--flip w is not one of"),
+        (TRACKER, ["--only", "nose"], "--only nose is not one of"),
         (TRACKER, ["--from-time", "9"], "no row is between 9 and inf s"),
         (TRACKER, ["--point", "elbow=imu01"], "'elbow' twice"),
         (TRACKER.replace("1.200000E-1", "1.000000E-1"), ["--frame-rate", "9"], "in even steps"),

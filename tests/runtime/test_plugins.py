@@ -134,7 +134,7 @@ def test_code_of_giajax_and_of_its_libraries_has_no_mark():
     ("name", "text", "said"),
     [
         ("law.txt", "", "is not a plug-in: give a Python file"),
-        ("my-law.py", "", "is no plug-in"),
+        ("my-law.py", "", "is not a plug-in"),
         ("absent_law.py", None, "there is no plug-in .*absent_law.py: correct the path"),
         ("json.py", "", "is called as another module, 'json': give it another name"),
         ("wrong_law.py", "1 / 0", r"cannot be imported \(ZeroDivisionError: division by zero\)"),

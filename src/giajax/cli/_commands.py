@@ -654,7 +654,7 @@ def say_written(out: Path, names: Iterable[str]) -> None:
 
 
 def command_after(*words: str | Path) -> str:
-    """The command that follows on what was done, as somebody types it, with their own paths."""
+    """The command that follows, as it is typed, with the user's own paths."""
     return f"next: giajax {shlex.join(map(str, words))}"
 
 

@@ -116,7 +116,7 @@ class _Description:
 
     @abc.abstractmethod
     def other(self, value: Any) -> Iterator[str]:
-        """Of what is none of these."""
+        """Of anything else."""
 
 
 def _is_ours(value: Any) -> bool:
@@ -199,7 +199,7 @@ def _is_found(function: FunctionType) -> bool:
 def _qualified(value: Any) -> str:
     name: str = value.__qualname__
     if "<" in name:
-        raise NoStructureError(f"{name} is no name that a module has")
+        raise NoStructureError(f"no module has the name {name}")
     return name
 
 
@@ -312,8 +312,8 @@ def forget_programs_if_many(most: int = _MOST_MAPS) -> None:
 def cache_programs(folder: Path) -> None:
     """From now on, keep programs in a folder, and use those that are there.
 
-    To be called by a process that nobody changes while it runs: what a test or a notebook patches
-    is not seen in the source, and must not be kept.
+    To be called by a process whose code does not change while it runs: what a test or a notebook
+    patches is not seen in the source, and must not be kept.
     """
     global _folder
     _folder = folder
@@ -559,7 +559,7 @@ def program(function: Function) -> Function:
     between processes, and are not traced again.
 
     Arguments:
-        function: a pure function of pytrees; what is no array is static.
+        function: a pure function of pytrees; leaves that are not arrays are static.
     """
     part = eqx.filter_jit(function)
     whole: Callable[..., Any] | None = None

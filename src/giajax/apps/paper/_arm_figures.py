@@ -401,7 +401,7 @@ MARKS = {
     "refitted": (GREY, "^"),
     "own": (GREEN, "v"),
 }
-"""A colour for each model, and a marker that tells them apart in grey print."""
+"""A colour for each model, and a marker that distinguishes it in grey print."""
 
 _TABLE3_SOURCES = Sources(
     printed="the definition of the concordance (mean of 1 - |Xm - Xe| / |Xe| every 0.1 s from 10 "

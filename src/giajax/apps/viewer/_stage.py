@@ -84,7 +84,7 @@ def _listening_at(path: Path, page: Callable[[], bytes | None]) -> Iterator[None
         usual = server.serve
 
         def at_path(handler: Any, host: Any = None, port: Any = None, **options: Any) -> Any:
-            files = options.get("process_request")
+            files: Any = options.get("process_request")
 
             def answer(connection: Any, request: Any) -> Any:
                 answered = files(connection, request)

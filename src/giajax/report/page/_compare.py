@@ -121,6 +121,7 @@ def _drawn(
             value, width = known[index]
             places = [_MARGIN + (at - low) * scale for at in (value - width, value, value + width)]
             about |= dict(zip(("low", "middle", "high"), places, strict=True))
+            assert one is not None
             about |= {"held": not one.free, "text": f"{names[index]}: {value:.6g} {row.unit}"}
         elif one is not None:
             about["word"] = "not determined" if isinstance(one.value, float) else "an array"
