@@ -296,7 +296,7 @@ def influence(
     """Show the influence of each part of the data on the estimates.
 
     Computes the change of each parameter and of its error if a run, a marker, a channel or a time
-    span isleft out.
+    span is left out.
     """
     given.record("influence", most=rows, exact=exact, spans=spans)
 

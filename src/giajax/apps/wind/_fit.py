@@ -94,7 +94,7 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
     errors = np.sqrt(np.diag(covariance))
     if not found.converged:
         notes.append(
-            "the fit did not end at a maximumso its standard errors are not reliable: start with "
+            "the fit did not end at a maximum, so its standard errors are not reliable: start with "
             "better values, or fix more of them"
         )
     for name, error in zip(found.free, errors, strict=True):
