@@ -65,7 +65,7 @@ def _joints(topic: str, message: Any) -> Iterator[_Cell]:
         if len(values) not in (0, len(message.name)):
             raise InputError(
                 f"a message of {topic} has {len(message.name)} names but {len(values)} values of "
-                f"{label}: it must have as many, or none"
+                f"{label}: it must have one value for each name, or no values"
             )
         for name, value in zip(message.name, values, strict=False):
             yield _Cell(f"{topic}/{name}{ending}", "" if ending else label, quantity, value)
@@ -122,10 +122,10 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise InputError(
-            f"a bag needs rosbags, which is not installed: {install_command('ros')}"
+            f"reading a bag requires rosbags, which is not installed: {install_command('ros')}"
         ) from None
     if how.frame_rate is not None:
-        raise InputError(f"{path}: a bag has its own times: leave out --frame-rate")
+        raise InputError(f"{path}: a bag contains its own time stamps: omit --frame-rate")
     ignored = ImportSettings(ignore=how.ignore)  # what is not read may have any clock
     found = _Found(path, get_typestore(Stores.LATEST), ignored)
     with contextlib.closing(_messages(path, found.topics)) as messages:
@@ -139,8 +139,9 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
     moments = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *stamps.values()]))
     if len(kept) * len(moments) > BAG_NUMBERS:
         raise InputError(
-            f"{path} is a table of {len(kept):,} columns and {len(moments):,} rows, but may have "
-            f"{BAG_NUMBERS:,} numbers at most: leave topics out with --ignore, or split the bag"
+            f"{path} gives a table of {len(kept):,} columns and {len(moments):,} rows, but the "
+            f"table may have "
+            f"{BAG_NUMBERS:,} numbers at most: exclude topics with --ignore, or split the bag"
         )
     nothing: Numbers = np.broadcast_to(np.nan, len(moments))
     things: dict[str, list[ForeignColumn]] = {}
@@ -151,7 +152,8 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
             if again := len(at) - len(np.unique(at)):
                 raise InputError(
                     f"{path}: {again} of {len(at)} messages of {topic} have the same time stamp as "
-                    f"another one: correct the stamps, or leave them out with --ignore '{topic}*'"
+                    f"another one: correct the time stamps, or exclude the topic with --ignore "
+                    f"'{topic}*'"
                 )
             values = np.full(len(moments), np.nan)
             values[np.searchsorted(moments, at)] = np.frombuffer(cells)
@@ -176,7 +178,8 @@ def _stamps(path: Path, clocks: Mapping[str, _Moments]) -> dict[str, _Moments]:
         if 0 < none < len(stamp) and stamp.max() > _SINCE_1970:
             raise InputError(
                 f"{path}: {none} of {len(stamp)} messages of {topic} have no time stamp, but the "
-                f"others have one: correct the stamps, or leave them out with --ignore '{topic}*'"
+                f"others have one: correct the time stamps, or exclude the topic with --ignore "
+                f"'{topic}*'"
             )
         stamps[topic] = reception if none == len(stamp) else stamp
         received += [int(reception.min()), int(reception.max())]
@@ -188,9 +191,10 @@ def _stamps(path: Path, clocks: Mapping[str, _Moments]) -> dict[str, _Moments]:
         latest = max(latest, spans[topic][1])
         if (gap := spans[later][0] - latest) > length:
             raise InputError(
-                f"{path}: the clocks of {topic} and {later} lie {gap / _NS:.6g} s apart, but the "
-                f"bag lasts {length / _NS:.6g} s: correct the stamps, or leave one out, such as "
-                f"with --ignore '{later}*'"
+                f"{path}: the clocks of {topic} and {later} differ by {gap / _NS:.6g} s, but the "
+                f"bag lasts {length / _NS:.6g} s: correct the time stamps, or exclude one topic, "
+                f"for example with --ignore"
+                f" '{later}*'"
             )
     return stamps
 
@@ -213,10 +217,16 @@ def _said_of(topics: Collection[_Topic]) -> str:
     ros_1 = [each for each in topics if each.form == "ros1"]
     listed = some([f"{each.name} ({each.kind})" for each in known or ros_1 or topics])
     if known:
-        return f"has no messages, or empty ones, of {listed}: record them again"
+        return (
+            f"has no messages, or only empty messages, of the topics {listed}: record these "
+            f"topics again"
+        )
     if ros_1:
-        return f"has messages of ROS 1, {listed}: convert its .bag by rosbags-convert"
-    return f"has no message of {', '.join(_MESSAGES)}, but {listed or 'none'}: give another bag"
+        return f"has ROS 1 messages, {listed}: convert the .bag file with rosbags-convert"
+    return (
+        f"has no message of the types {', '.join(_MESSAGES)}, but {listed or 'none'}: give "
+        f"another bag"
+    )
 
 
 @dataclass
@@ -256,7 +266,8 @@ class _Found:
             return
         if not (type(received) is int and 0 <= received < _MOMENTS):
             raise InputError(
-                f"{what} was received at {shown(received)}: it must be ns since 1970, so correct it"
+                f"{what} has the receipt time {shown(received)}: this time must be in ns since "
+                f"1970, so correct it"
             )
         self._count(2)  # when it was stamped and received, of which empty messages consist
         message = self._message(topic, data, what)
@@ -272,11 +283,11 @@ class _Found:
                 self.series[key] = array("q"), array("d")
             numbers, values = self.series[key]
             if numbers and numbers[-1] == number:
-                raise InputError(f"{what} has {thing} twice: rename one")
+                raise InputError(f"{what} contains {thing} twice: rename one")
             if abs(value) > VALUE:
                 raise InputError(
                     f"{self.path}: {thing} is {value:g} in a message, but may be {VALUE:g} at "
-                    f"most: correct it, or leave it out with --ignore '{topic.name}*'"
+                    f"most: correct it, or exclude the topic with --ignore '{topic.name}*'"
                 )
             numbers.append(number)
             values.append(value)
@@ -295,18 +306,22 @@ class _Found:
         what = f"{self.path}: messages of {topic.name}"
         if topic.form != "cdr":
             raise InputError(
-                f"{what} are in {shown(topic.form)}, but must be in cdr: record them so"
+                f"{what} are encoded as {shown(topic.form)}, but must be encoded as cdr: record "
+                f"them in this encoding"
             )
         kind, _ = self.clocks.setdefault(topic.name, (topic.kind, array("q")))
         if kind != topic.kind:
-            raise InputError(f"{what} are {kind} and {topic.kind}: give each kind its own topic")
+            raise InputError(
+                f"{what} are of two types, {kind} and {topic.kind}: record each type in its own "
+                f"topic"
+            )
         self._count(len(topic.definition))  # a letter takes as long as a number
         known = dict(_fields(kind, self.store.generate_msgdef(kind, ros_version=2)[0]))
         for part, fields in _fields(kind, topic.definition):
             if fields and fields != known.get(part, fields):
                 raise InputError(
-                    f"{what} have another {part} than that of ROS 2, "
-                    f"{shown(', '.join(known[part]))}: record them as that"
+                    f"{what} have a {part} that differs from that of ROS 2, "
+                    f"{shown(', '.join(known[part]))}: record them with the ROS 2 definition"
                 )
 
     def _count(self, numbers: int) -> None:
@@ -317,8 +332,8 @@ class _Found:
     def _message(self, topic: _Topic, data: bytes, what: str) -> Any:
         if len(data) > MESSAGE_BYTES:
             raise InputError(
-                f"{what} has more than {MESSAGE_BYTES:,} bytes: leave it out with "
-                f"--ignore '{topic.name}*'"
+                f"{what} has more than {MESSAGE_BYTES:,} bytes: exclude the topic with --ignore"
+                f" '{topic.name}*'"
             )
         with tried(f"reading {what}"):
             return self.store.deserialize_cdr(data, topic.kind)
@@ -328,7 +343,8 @@ def _check_name(path: Path, name: str, before: int, what: str) -> None:
     """Refuse a name that cannot be shown, or that is one more than there may be."""
     if len(name) > CELL_BYTES or not name.isprintable():
         raise InputError(
-            f"{path}: {shown(name)} is not a valid name: it may have {CELL_BYTES:,} letters"
+            f"{path}: {shown(name)} is not a valid name: it may have at most {CELL_BYTES:,} "
+            f"characters"
         )
     if before >= COLUMNS:
         raise InputError(f"{path} has more than {COLUMNS:,} {what}: record fewer topics")
@@ -379,11 +395,17 @@ def _reading(path: Path) -> Iterator[None]:
     except InputError as error:
         cause = error.__cause__
         if isinstance(cause, KeyError):
-            says = f"has records of {cause}, which is not a channel or schema of it: copy it again"
+            says = (
+                f"has records that refer to {cause}, which is not a channel or schema of the "
+                f"file: copy the file again"
+            )
         elif getattr(cause, "errno", None) == errno.ENOSPC:
-            says = f"is not unpacked, no space in {tempfile.gettempdir()}: set TMPDIR"
+            says = (
+                f"cannot be decompressed, because no space is left in {tempfile.gettempdir()}: "
+                f"set TMPDIR to another folder"
+            )
         elif getattr(cause, "sqlite_errorname", "") == "SQLITE_INTERRUPT":
-            says = "takes much longer to read than its size says: record it again"
+            says = "takes much longer to read than its size suggests: record it again"
         else:
             raise
         raise InputError(f"{path} {says}") from None
@@ -398,15 +420,16 @@ def _files(folder: Path) -> list[Path]:
     Nothing else of it is needed, and no reader of YAML, to which a short text can be a long one.
     """
     path = folder / "metadata.yaml"
-    text = read_text(path, TEXT_BYTES, "YAML", "the folder of a bag, or a file of one")
+    text = read_text(path, TEXT_BYTES, "YAML", "the folder of a bag, or a file in it")
     listed = _LISTED.findall(text.replace("\r\n", "\n"))
     lines = listed[0].splitlines() if len(listed) == 1 else []
     # Earlier versions have the folder before the name, which it may have no more.
     names = [PurePath(line.partition("- ")[2].strip().strip("'\"")).name for line in lines]
     if not names or not all(name.removesuffix(".zstd").endswith(_SUFFIXES) for name in names):
         raise InputError(
-            f"{path} must have relative_file_paths once, and below it `- name.db3` or "
-            "`- name.mcap` of each file: write it again by ros2 bag reindex, or give a file"
+            f"{path} must contain relative_file_paths once, followed by `- name.db3` or "
+            "`- name.mcap` for each file: recreate it with ros2 bag reindex, or give one file of "
+            "the bag"
         )
     return [folder / name for name in names]
 
@@ -428,7 +451,8 @@ class _Unpacking:
                 found = file.read((most if size is None else size) + 1)
             if size is not None and len(found) != size:
                 raise InputError(
-                    f"{self._path} has a part of other than its {size:,} bytes: copy it again"
+                    f"{self._path} has a chunk whose size is not the stated {size:,} bytes: copy "
+                    f"the file again"
                 )
             size = len(found)
         self._take(size, most)
@@ -446,8 +470,9 @@ class _Unpacking:
         self._left -= size
         if size > most or self._left < 0:
             raise InputError(
-                f"{self._path} unpacks to more than {UNPACKED_TIMES} times its size, or has parts "
-                f"of more than {CHUNK_BYTES:,} bytes: record it without compression"
+                f"{self._path} decompresses to more than {UNPACKED_TIMES} times its size, or has "
+                f"chunks of"
+                f" more than {CHUNK_BYTES:,} bytes: record it without compression"
             )
 
     def _opened(self, file: BinaryIO, form: str) -> Any:
@@ -455,7 +480,8 @@ class _Unpacking:
             with contextlib.suppress(ImportError):
                 return importlib.import_module(name).open(file, "rb")
         raise InputError(
-            f"{self._path} is packed by {shown(form)}: it must be zstd or lz4, or not packed"
+            f"{self._path} is compressed with {shown(form)}: the compression must be zstd, lz4 or "
+            f"none"
         )
 
 
@@ -484,7 +510,9 @@ def _mcap(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Mes
             )
         for code, record in _unchunked(path, file, end, unpacking):
             if code == _STATISTICS and (said := _number(record, 8)) != count:
-                raise InputError(f"{path} has {count:,} messages, but says {said:,}: copy it again")
+                raise InputError(
+                    f"{path} has {count:,} messages, but states that it has {said:,}: copy it again"
+                )
             number = _number(record, 2)
             if code == _SCHEMA:
                 kind, form = _text(record), _text(record)
@@ -493,7 +521,7 @@ def _mcap(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Mes
                 kind, definition = schemas[_number(record, 2)]
                 topic = _Topic(_text(record), kind, _text(record), definition)
                 if channels.setdefault(number, topic) != topic:  # after the data all are repeated
-                    raise InputError(f"{path} has channel {number} for two topics: copy it again")
+                    raise InputError(f"{path} uses channel {number} for two topics: copy it again")
                 _know(path, topic, topics)
             elif code == _MESSAGE:
                 count += 1
@@ -536,7 +564,7 @@ def _records(path: Path, file: BinaryIO, end: int) -> _Records:
         code, size = _number(file, 1), _number(file, 8)
         if code == 0 or size > end - at - 9 or (code in _READ and size > CHUNK_BYTES):
             raise InputError(
-                f"{path} is cut off, or has a record of more than {CHUNK_BYTES:,} bytes: copy it "
+                f"{path} is truncated, or has a record of more than {CHUNK_BYTES:,} bytes: copy it "
                 "again, or use mcap recover"
             )
         if code in _READ:
@@ -556,7 +584,7 @@ def _text(file: BinaryIO) -> str:
     size = _number(file, 4)
     data = file.read(min(size, TEXT_BYTES))
     if len(data) != size:
-        raise EOFError(f"a text of {size:,} bytes is too long")
+        raise EOFError(f"a string of {size:,} bytes exceeds the record")
     return data.decode()
 
 
@@ -579,8 +607,8 @@ def _database(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> 
         log = path.with_name(path.name + ending)
         if log.exists() and log.stat().st_size:
             raise InputError(
-                f"{path} is being written, or was not closed ({log.name} is there): stop the "
-                "recording, or open and close the file by sqlite3"
+                f"{path} is being written, or was not closed ({log.name} exists): stop the "
+                "recording, or open and close the file with sqlite3"
             )
     steps = iter(range(10 + _STEPS_A_BYTE * unpacking.size // _STEPS))
     uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
@@ -597,7 +625,7 @@ def _database(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> 
                 continue
             hidden = base.execute(f"SELECT max(hidden) FROM pragma_table_xinfo('{table}')")
             if found != [("table", 1)] or hidden.fetchone()[0]:
-                raise InputError(f"{path} has no plain table {table}: give a bag of ROS 2")
+                raise InputError(f"{path} has no ordinary table {table}: give a ROS 2 bag")
             if (said := base.execute(f"PRAGMA quick_check({table})").fetchone()[0]) != "ok":
                 raise InputError(f"{path} is damaged ({shown(said)}): copy it again")
             if table == "message_definitions":
@@ -610,12 +638,14 @@ def _database(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> 
         for number, *words in base.execute(query):
             named = type(number) is int and all(isinstance(word, str) for word in words)
             if not named or number in numbers:
-                raise InputError(f"{path} has a topic twice, or without a name: copy it again")
+                raise InputError(
+                    f"{path} contains a topic twice, or a topic without a name: copy it again"
+                )
             numbers[number] = _Topic(words[0], words[1], words[2], definitions.get(words[1], ""))
             _know(path, numbers[number], topics)
         query = "SELECT count(*) FROM messages WHERE topic_id NOT IN (SELECT id FROM topics)"
         if lost := base.execute(query).fetchone()[0]:
-            raise InputError(f"{path} has {lost:,} messages of no topic: copy it again")
+            raise InputError(f"{path} has {lost:,} messages that belong to no topic: copy it again")
         known = [str(number) for number, topic in numbers.items() if topic.kind in _MESSAGES]
         query = "SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN"
         for number, received, data in base.execute(f"{query} ({','.join(known)})"):

@@ -117,7 +117,7 @@ def bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
     if suffix in ("percent", "pct", "%"):
         return (
             f"{what} {shown(name)} is in percent, but {row.column} must be a ratio: divide the "
-            f"values by 100 and call it {row.column}"
+            f"values by 100 and rename the column to {row.column}"
         )
     if units == [""]:
         return (
@@ -149,8 +149,9 @@ def unknown_name(name: str, what: str) -> str:
     numbered = re.match("(joint|link)([0-9]{3,})", name)
     if numbered is not None and (len(numbered[2]) > len(str(LINKS)) or int(numbered[2]) > LINKS):
         return (
-            f"{what} {shown(name)} has the number of a {numbered[1]} beyond {LINKS:,}, the most "
-            "that an arm may have: correct the number"
+            f"{what} {shown(name)} refers to a {numbered[1]} with a number above {LINKS:,}, the "
+            f"highest number that an arm may have"
+            ": correct the number"
         )
     near = nearest(name, suffixes=what == "column")
     old = "OLD" if not 0 < len(name) <= 40 or not name.isprintable() else name
@@ -219,8 +220,8 @@ class Channel:
         if row is None or row.suffix is not None:
             if row is not None and row.suffix in units_of(row.kind):
                 raise InputError(
-                    f"channel {name!r} ends in a unit, but values are in SI units here: "
-                    f"call it {row.match['name']!r}"
+                    f"channel {name!r} ends in a unit, but arrays are in SI units: rename it to"
+                    f" {row.match['name']!r}"
                 )
             raise InputError(unknown_name(name, "channel"))
         kind = row.kind
@@ -293,7 +294,7 @@ def parse_columns(names: Iterable[str]) -> dict[str, Channel]:
         if channel.name in first:
             raise InputError(
                 f"columns {first[channel.name]!r} and {column!r} both give {channel.name}, "
-                "which must be there once: remove one"
+                "which must be given only once: remove one"
             )
         first[channel.name] = column
         channels[column] = channel
@@ -339,7 +340,7 @@ def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) 
     if model is None:
         names = ", ".join(channel.name for channel in channels)
         raise InputError(
-            f"{source}: the channels {names} do not say which model the run is of: "
+            f"{source}: the channels {names} do not determine the model of the run: "
             f'state it in the sidecar as model = "..." ({one_of(KINDS)})'
         )
     rows = {"time", *(row.name for row in KINDS[model].channels)}
@@ -349,7 +350,7 @@ def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) 
         if sidecar is not None and inferred not in (None, sidecar):
             raise InputError(
                 f"{source}: the sidecar says model = {sidecar!r}, but column {channel.column!r} "
-                f"belongs to {inferred!r}: correct the sidecar or remove the column"
+                f"belongs to the model {inferred!r}: correct the sidecar or remove the column"
             )
         raise InputError(
             f"{source}: column {channel.column!r} does not belong to the model {model!r} "

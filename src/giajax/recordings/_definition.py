@@ -230,8 +230,8 @@ def _remedy(cls: type[BaseModel], owner: type[BaseModel] | None, path: tuple[str
     if homes:
         return f": it belongs in {one_of(homes)}, so move it there"
     if len(known) > _MANY:
-        return ": correct or remove it ('giajax init' writes all keys that are known here)"
-    return f": correct or remove it (known here: {', '.join(known)})"
+        return ": correct or remove it ('giajax init' writes all keys that are allowed here)"
+    return f": correct or remove it (allowed here: {', '.join(known)})"
 
 
 S = TypeVar("S", bound=Section)
@@ -243,7 +243,7 @@ def _known_model(word: str) -> str:
     # The model of a package is imported, and becomes a kind.
     if word not in KINDS and registered("model", word) is not None and word not in KINDS:
         raise ValueError(
-            f"= {word!r} is a model that declares no channels: state them in its class"
+            f"= {word!r} is a model that declares no channels: declare them in its class"
         )
     if word not in KINDS:
         raise ValueError(
@@ -261,14 +261,12 @@ if not TYPE_CHECKING:
 class _Head(Section):
     """The keys at the top of a file."""
 
-    schema_version: Literal[1] = key("1", "version of this vocabulary", default=1)
-    model: KindName | None = key(
-        one_of(_QUOTED), "which model the run is of", example=next(iter(KINDS))
-    )
+    schema_version: Literal[1] = key("1", "version of the schema of this file", default=1)
+    model: KindName | None = key(one_of(_QUOTED), "model of the run", example=next(iter(KINDS)))
     origin: str | None = key(
-        "text", "where the run comes from", example="who recorded this, with what, when"
+        "text", "source of the run", example="who recorded the run, with which equipment, and when"
     )
-    licence: str | None = key("text", "terms under which it may be used", example="CC0-1.0")
+    licence: str | None = key("text", "terms under which the run may be used", example="CC0-1.0")
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = key(
         "64 hexadecimal digits", "checksum of the data file"
     )
@@ -305,14 +303,16 @@ class Definition(_Sections):
     noise: Noise = Field(default_factory=Noise)
     uncertainty: Uncertainty = Field(default_factory=Uncertainty)
     truth: dict[str, Any] = key(
-        "a table", "what the maker of the data knows; never read by a fit", default={}
+        "a table", "true values known to the author of the data; never read by a fit", default={}
     )
     fit: FitSettings = Field(default_factory=FitSettings)
     filling: FillingSection = Field(default_factory=FillingSection)
     unrolling: UnrollingSection = Field(default_factory=UnrollingSection)
-    mission: MissionSection | None = key("a table of keys", "what an operator is to reach")
+    mission: MissionSection | None = key("a table of keys", "task that an operator is to complete")
     figures: dict[Name, Figure] = key(
-        'a table like [figures."air.drag_coefficient"]', "figures to reach", default={}
+        'a table like [figures."air.drag_coefficient"]',
+        "figures that a result must reach",
+        default={},
     )
 
     def section(self, of: type[S]) -> S:
@@ -367,7 +367,7 @@ class Definition(_Sections):
             # An entry of [figures] says one thing, and is replaced as a whole.
             depth = 1 if name == "figures" else 2
             merged[name] = _merge(merged.get(name), value, depth)
-        return Definition.parse(merged, "definitions taken together")
+        return Definition.parse(merged, "combined definitions")
 
     def to_toml(self) -> str:
         """TOML text of the contents, the version first; `load` reads it back."""
@@ -404,8 +404,8 @@ def fit_settings(
     if settings is not None:
         if names:
             raise InputError(
-                f"{source} have settings and {', '.join(names)} beside them: say all of it in one "
-                "of the two ways"
+                f"{source} contain both a settings object and {', '.join(names)}: state all "
+                f"settings in only one of the two ways"
             )
         return settings
     said = {name: plain(value) for name, value in keywords.items() if value is not None}
@@ -459,7 +459,8 @@ def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) 
     model = infer_model(table.channels.values())
     kind = None if model is None else KINDS[model]
     lines = [
-        f"# Sidecar of {path.name}. Remove the '#' before a key to state it; what is not stated",
+        f"# Sidecar of {path.name}. Remove the '#' before a key to state it; a key that is not "
+        f"stated",
         "# is assumed or unknown." if kind is None else kind.template_heading,
         "schema_version = 1",
         _line(Definition, "model", model),
@@ -470,7 +471,7 @@ def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) 
     if kind is not None:
         lines += _offered(kind, table)
         lines += _noise(kind, table)
-    lines += ["", "# [truth]  what you know and a fit should find; no fit reads it"]
+    lines += ["", "# [truth]  true values that a fit should recover; no fit reads them"]
     return "\n".join(lines) + "\n"
 
 
@@ -498,7 +499,7 @@ def _noise(kind: Kind, table: Table) -> list[str]:
     # A column may have the name of a quantity's key: then it stands for itself.
     known = {column_table()[channel.kind].noise for channel in measured} - {column}
     lines = [_line(Noise, name) for name in Noise.model_fields if name in known]
-    meaning = "one column by its name, in its unit; wins over its quantity"
+    meaning = "noise of one column by its name, in its unit; takes precedence over its quantity"
     lines.append(f"# {column} = 0.01  # {meaning}")
     return ["", "[noise]  # not stated: a fit estimates it", *lines]
 

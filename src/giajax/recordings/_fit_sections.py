@@ -74,20 +74,18 @@ class Noise(Section):
     acceleration_m_per_s2: Positive | None = key(
         _NOISE, "standard deviation of every acceleration", example=0.05
     )
-    position_correlated_m: Positive | None = key(_NOISE, "the correlated part of position_m")
-    position_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
-    angle_correlated_deg: Positive | None = key(_NOISE, "the correlated part of angle_deg")
-    angle_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
-    rate_correlated_deg_per_s: Positive | None = key(
-        _NOISE, "the correlated part of rate_deg_per_s"
-    )
-    rate_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
-    pixel_correlated_px: Positive | None = key(_NOISE, "the correlated part of pixel_px")
-    pixel_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+    position_correlated_m: Positive | None = key(_NOISE, "correlated part of position_m")
+    position_correlation_s: Positive | None = key(_TIME, "correlation time of that part")
+    angle_correlated_deg: Positive | None = key(_NOISE, "correlated part of angle_deg")
+    angle_correlation_s: Positive | None = key(_TIME, "correlation time of that part")
+    rate_correlated_deg_per_s: Positive | None = key(_NOISE, "correlated part of rate_deg_per_s")
+    rate_correlation_s: Positive | None = key(_TIME, "correlation time of that part")
+    pixel_correlated_px: Positive | None = key(_NOISE, "correlated part of pixel_px")
+    pixel_correlation_s: Positive | None = key(_TIME, "correlation time of that part")
     acceleration_correlated_m_per_s2: Positive | None = key(
-        _NOISE, "the correlated part of acceleration_m_per_s2"
+        _NOISE, "correlated part of acceleration_m_per_s2"
     )
-    acceleration_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+    acceleration_correlation_s: Positive | None = key(_TIME, "correlation time of that part")
 
     def correlated_part(self, name: str) -> tuple[float, float] | None:
         """Deviation, in the unit of a key, and time of the correlated part of it."""
@@ -109,11 +107,12 @@ class Noise(Section):
             size, of_part = getattr(self, name), getattr(self, part)
             if (of_part is None) != (getattr(self, time) is None):
                 raise ValueError(
-                    f"has one of {part} and {time}, which say one thing: add the other"
+                    f"has only one of {part} and {time}, which belong together: add the other"
                 )
             if of_part is not None and (size is None or of_part > size):
                 raise ValueError(
-                    f"key {part!r} is a part of {name}: state {name}, which is at least as large"
+                    f"key {part!r} is a component of {name}: state {name} too, which must be at "
+                    f"least as large"
                 )
         return self
 
@@ -125,7 +124,7 @@ class Noise(Section):
                 channel = parse_column(name).name
             except InputError:
                 raise ValueError(
-                    f"key {name!r} must be {', '.join(NOISE_KEYS)}, a part of one such as "
+                    f"key {name!r} must be {', '.join(NOISE_KEYS)}, a correlated part such as "
                     "position_correlated_m with position_correlation_s, or a column of the run: "
                     "correct or remove it"
                 ) from None
@@ -150,7 +149,7 @@ class Uncertainty(Section):
 
     defaults: bool = key(
         "true or false",
-        "false: exact but for what stands here; true: where nothing stands, what is usual",
+        "false: parameters without an entry are exact; true: they have their usual uncertainty",
         default=True,
     )
 
@@ -172,12 +171,13 @@ class Uncertainty(Section):
                 for one in each
             ):
                 raise ValueError(
-                    f"key {path!r} must be a standard deviation (SI), 0 of what is exact, or a "
+                    f"key {path!r} must be a standard deviation (SI), 0 for an exact value, or a "
                     "list of them: correct it"
                 )
             if (whole := path.partition("[")[0]) != path and whole in stated:
                 raise ValueError(
-                    f"key {whole!r} is of all elements, and {path!r} of one: state a list of all"
+                    f"key {whole!r} applies to all elements, but {path!r} to one of them: state a "
+                    f"list for all elements"
                 )
         return stated
 
@@ -188,7 +188,8 @@ class PriorEntry(Section):
     value: Finite = key("a number", "the most probable value, SI", default=...)
     deviation: Positive | None = key("a positive number", "standard deviation, SI")
     factor: Positive | None = key(
-        "a number above 1", "known to this factor, up or down, in place of a deviation"
+        "a number above 1",
+        "uncertainty of the value as a factor, up or down; replaces the deviation",
     )
 
     @model_validator(mode="after")
@@ -241,7 +242,7 @@ def _known_optimiser(said: Any) -> Any:
     if any(each.__name__ == "AbstractLeastSquaresSolver" for each in type(said).__mro__):
         return said
     given = " ".join(shown(said).split())
-    raise ValueError(f"= {given} must be {_OPTIMISER}: give one, or leave it out")
+    raise ValueError(f"= {given} must be {_OPTIMISER}: give one, or omit the key")
 
 
 _OPTIMISER = (
@@ -257,40 +258,44 @@ class FitSettings(Section):
     whole. `fit_settings` makes one of keywords. The words of the options are `cli/_fit.py`'s.
     """
 
-    data: list[Name] = key("a list of file names", "Runs, relative to this file.", default=[])
+    data: list[Name] = key(
+        "a list of file names", "Recorded runs, as paths relative to this file.", default=[]
+    )
     free: list[Name] | None = key(
-        "a list of parameter paths", "Fit these, and not the default list."
+        "a list of parameter paths", "Parameters to fit instead of the default list."
     )
     start: Values = key(
-        "a table of parameter paths and numbers", "Start parameters at these values.", default={}
+        "a table of parameter paths and numbers", "Start values of parameters.", default={}
     )
     fix: Values = key(
         "a table of parameter paths and numbers", "Hold parameters at these values.", default={}
     )
     priors: dict[Name, PriorEntry] = key(
         "a table of parameter paths, each with a value and a deviation or factor",
-        "What is known of parameters before; a factor is log-normal.",
+        "Priors of parameters; a prior with a factor is log-normal.",
         default={},
         entry="a table such as { value = 1.1, deviation = 0.2 }",
     )
     bounds: dict[Name, Annotated[list[Finite], Field(min_length=2, max_length=2)]] = key(
         "a table of parameter paths and lists of two numbers, [low, high]",
-        "Bounds of parameters, within those that they have.",
+        "Bounds of parameters, within their declared bounds.",
         default={},
         entry="a list of two numbers, [low, high]",
     )
     ties: dict[Name, Name] = key(
         "a table of parameter paths and expressions in quotes",
-        'Let parameters follow from others, as in "links.mass" = "links.mass[0]".',
+        'Compute parameters from other parameters, as in "links.mass" = "links.mass[0]".',
         default={},
         entry='an expression in quotes, such as "1.5 * joints.pitch_stiffness"',
     )
     per_run: list[Name] = key(
-        "a list of parameter paths", "Fit a value of these for each run.", default=[]
+        "a list of parameter paths",
+        "Parameters to fit with a separate value for each run.",
+        default=[],
     )
     groups: dict[Name, list[list[Name]]] = key(
         "a table of parameter paths and lists of lists of run names",
-        "Fit a value that these runs share.",
+        "Parameters to fit with one value for each group of runs.",
         default={},
         entry='a list of lists of run names, such as [["a", "b"], ["c"]]',
     )
@@ -301,72 +306,74 @@ class FitSettings(Section):
     )
     nuisances: bool = key(
         "true or false",
-        "Free what is always uncertain of camera and arm, with a prior, or (false) hold it.",
+        "Fit the parameters that are always uncertain, with priors; false: hold them.",
         default=True,
     )
     channels: list[Name] | None = key(
         "a list of channel names, without unit",
-        "Fit these channels only, without their unit: link20_z.",
+        "Fit only these channels, named without unit, such as link20_z.",
     )
     hold_out: list[Name] = key(
         "a list of runs, channels, or last",
-        "Judge by these and do not fit them: a run, a channel, or last (fifth).",
+        "Data held out from the fit: a run, a channel, or last (the last fifth).",
         default=[],
     )
     window_s: Positive | None = key(
         "a positive number", "Split runs into windows with separate initial states."
     )
     windows_first_s: Positive | None = key(
-        "a positive number", "Fit such windows first, and whole runs from there."
+        "a positive number", "Fit windows of this length first, then whole runs from that result."
     )
     starts: Annotated[int, Field(ge=1, le=STARTS)] = key(
         f"a whole number from 1 to {STARTS}",
-        "Fit from so many starts and keep the best end.",
+        "Number of starting points; the best result is kept.",
         default=1,
     )
     spread: Positive = key(
-        "a positive number", "How far the other starts are away; 0.3 is 30 percent.", default=0.3
+        "a positive number",
+        "Relative distance of the other starting points; 0.3 is 30 percent.",
+        default=0.3,
     )
     seed: Annotated[int, Field(ge=0)] = key(
-        "zero or a positive whole number", "Of the other starts.", default=0
+        "zero or a positive whole number", "Random seed of the other starting points.", default=0
     )
     validation: list[Name] = key(
         "a list of file names",
-        "Runs that the result must predict and is not fitted to.",
+        "Runs that are not fitted and that the result must predict.",
         default=[],
     )
     loss: Annotated[Loss | str | dict[str, Any], BeforeValidator(_known_loss)] = key(
         _LOSS,
-        "How a large residual counts: linear, or huber, soft_l1 or student_t for outliers.",
+        "Loss of the residuals: linear; or huber, soft_l1 or student_t for outliers.",
         default="linear",
     )
     noise_model: NoiseModel = key(
         '"correlated" or "white"',
-        "correlated, which looks for correlated noise, or white.",
+        "Noise model: correlated, which estimates correlated noise, or white.",
         default="correlated",
     )
     noise_per_run: bool = key(
         "true or false",
-        "Estimate the noise in each run by itself, or (default) in all together.",
+        "Estimate the noise of each run separately; default: of all runs together.",
         default=False,
     )
     solver: Annotated[Name | None, BeforeValidator(_known_solver)] = key(
         "the name of a solver", "Integration method, such as tsit5 (springs5)."
     )
     tolerance: Positive | None = key(
-        "a positive number", "Tolerance of the integration (chosen by what it moves)."
+        "a positive number", "Tolerance of the integration (default: chosen by its effect)."
     )
     optimiser: Annotated[Any, Field(exclude=True), BeforeValidator(_known_optimiser)] = key(
-        _OPTIMISER, "What minimises, in place of giajax's trust region; no file states it."
+        _OPTIMISER, "Optimiser in place of giajax's trust region; cannot be stated in a file."
     )
     max_iterations: Annotated[int, Field(ge=1)] = key(
-        "a whole number of at least 1", "Trial steps before the fit gives up.", default=50
+        "a whole number of at least 1", "Maximum number of trial steps of the fit.", default=50
     )
     budget: Annotated[str, Field(pattern=DURATION)] | None = key(
         'a time such as "90s", "10m" or "2h"',
-        "End with the best so far when it is over: 90s, 10m, 2h.",
+        "Time limit, after which the fit keeps its best result: 90s, 10m, 2h.",
     )
-    out: Name | None = key("the name of a folder", "Where the result goes.")
+    out: Name | None = key("the name of a folder", "Folder for the result.")
 
     @property
     def known(self) -> dict[str, Prior]:
@@ -405,7 +412,8 @@ class FitSettings(Section):
     def _windows_or_whole_runs(self) -> Self:
         if self.window_s is not None and self.windows_first_s is not None:
             raise ValueError(
-                "has window_s and windows_first_s, which fits whole runs in the end: remove one"
+                "has window_s and windows_first_s, but the latter fits whole runs at the end: "
+                "remove one"
             )
         return self
 
@@ -416,7 +424,7 @@ class FitSettings(Section):
             try:
                 Expression.parse(text)
             except InputError as error:
-                raise ValueError(f"is not right for {path}, because {error}") from None
+                raise ValueError(f"is not valid for {path}, because {error}") from None
         return ties
 
 
@@ -474,15 +482,17 @@ class Figure(Section):
 
     value: Finite | None = key("a number", "expected value")
     standard_errors: Positive | None = key(
-        "a positive number", "how many standard errors the result may be away from it"
+        "a positive number", "largest distance of the result from the value, in standard errors"
     )
     relative_error: Positive | None = key(
         "a positive number", "largest standard error, relative to the fitted value"
     )
     within: Positive | None = key(
-        "a positive number", "how far the result may be from the value, relative to it"
+        "a positive number", "largest distance of the result from the value, relative to the value"
     )
-    determined: bool | None = key("true or false", "false: the run must not determine it")
+    determined: bool | None = key(
+        "true or false", "false: the run must not determine the parameter"
+    )
 
     @model_validator(mode="after")
     def _says_one_thing(self) -> "Figure":
@@ -491,13 +501,13 @@ class Figure(Section):
         if self.determined is False:
             if any(item is not None for item in goals):
                 raise ValueError(
-                    "says determined = false and a figure to reach, but must say one of them: "
-                    "remove the other"
+                    "states determined = false and a figure to reach, but may state only one of "
+                    "them: remove the other"
                 )
         elif (self.value is None) != (distances == [None, None]) or goals == [None] * 4:
             raise ValueError(
                 "must have value and standard_errors (or within), or relative_error, or all: "
-                "add what is missing"
+                "add the missing keys"
             )
         return self
 
@@ -554,7 +564,7 @@ def noise_section(noise: Mapping[str, float], channels: Mapping[str, Channel]) -
             section[channels[name].column] = float(channels[name].from_si(deviation))
         else:
             raise InputError(
-                f"{name!r} has no noise: give that of {', '.join(_NOISE_QUANTITIES)} "
+                f"{name!r} has no noise: state the noise of {', '.join(_NOISE_QUANTITIES)} "
                 "or of a channel of the run"
             )
     return section

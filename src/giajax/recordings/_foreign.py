@@ -53,7 +53,9 @@ class ImportSettings:
     def __post_init__(self) -> None:
         rate, units = self.frame_rate, {"time": self.time_unit, "length": self.unit}
         if rate is not None and not (np.isfinite(rate) and rate > 0):
-            raise InputError(f"the rate is {rate:g}: give the pictures a second, a positive number")
+            raise InputError(
+                f"the rate is {rate:g}: give the number of pictures per second, a positive number"
+            )
         for quantity, unit in units.items():
             if unit is not None and unit not in (known := QUANTITIES[quantity].suffixes):
                 raise InputError(f"the unit of a {quantity} is {unit!r}: give {one_of(known)}")
@@ -61,7 +63,7 @@ class ImportSettings:
         if self.axes is not None and letters not in (["x", "z"], ["x", "y"], ["x", "y", "z"]):
             raise InputError(
                 f"the axes are {','.join(self.axes)}: give each of x, y and z once, in the order "
-                "of the file's coordinates, such as x,z of a film from the side or x,z,-y"
+                "of the file's coordinates, such as x,z for a film from the side or x,z,-y"
             )
         if not 0 <= self.likelihood <= 1:
             raise InputError(f"the likelihood is {self.likelihood:g}: give a number from 0 to 1")
@@ -75,8 +77,8 @@ class ImportSettings:
         for option, default in _AS_READ.items():
             if option not in used and getattr(self, option) != default:
                 raise InputError(
-                    f"{path}: --{option.replace('_', '-')} changes nothing in this table of "
-                    f"{program}: leave it out"
+                    f"{path}: --{option.replace('_', '-')} has no effect on this table of "
+                    f"{program}: omit it"
                 )
 
     def keeps(self, *names: str) -> bool:
@@ -151,7 +153,7 @@ def placed(coordinates: Sequence[Numbers], axes: Sequence[str], what: str) -> li
     if len(axes) != len(coordinates):
         raise InputError(
             f"{what} has {len(coordinates)} coordinates, but the axes are {','.join(axes)}: give "
-            "as many with --axes"
+            f"the same number of axes with --axes"
         )
     return [
         ForeignColumn(axis[-1], "length", -metres if axis[0] == "-" else metres)
@@ -169,16 +171,16 @@ _ENDINGS = {
     "torque": "_torque",
 }
 _PARTS = {
-    "pixel": "which a camera does not show: call it link06, tip or mark01, and the camera by "
-    "letters, digits and _",
-    "length": "of which no position is recorded: call it link06 or tip",
-    "angular_velocity": "of which no rates are recorded: call it imu06, or one of its columns "
-    "joint01_rate",
-    "acceleration": "of which no acceleration is recorded: call it imu06",
-    "linear_acceleration": "but gravity is taken out of it, as no accelerometer does: record the "
-    "acceleration with g",
-    "angle": "of which no angle is recorded: call it joint01",
-    "torque": "of which no torque is recorded: call it joint01_torque",
+    "pixel": "which a camera does not show: name it link06, tip or mark01, and name the camera "
+    "with letters, digits and _",
+    "length": "for which no position is recorded: name it link06 or tip",
+    "angular_velocity": "for which no rates are recorded: name it imu06, or name one of its "
+    "columns joint01_rate",
+    "acceleration": "for which no acceleration is recorded: name it imu06",
+    "linear_acceleration": "but gravity has been removed from it, unlike in the signal of an "
+    "accelerometer: record the acceleration including gravity",
+    "angle": "for which no angle is recorded: name it joint01",
+    "torque": "for which no torque is recorded: name it joint01_torque",
 }
 
 
@@ -218,8 +220,8 @@ def channels_of(
             values[name], sources[name] = column.values, thing
     if not values and table.things:
         raise InputError(
-            "no tracked point is assigned to a channel: assign them, of "
-            f"{some(list(table.things))}, such as --point "
+            "no tracked point is assigned to a channel: assign some of "
+            f"{some(list(table.things))}, for example with --point "
             f"{shown(next(iter(table.things), 'NAME') + '=tip')}"
         )
     if not table.channels:
@@ -270,7 +272,7 @@ def rows_kept(
     if table.times is None:
         if how.offset or np.isfinite(how.from_time) or np.isfinite(how.until):
             raise InputError(
-                "the file has no times: give --frame-rate, the rows per second, or leave out "
+                "the file has no times: give --frame-rate, the number of rows per second, or omit "
                 "--offset, --from-time and --until"
             )
         return None, dict(values)
@@ -278,7 +280,7 @@ def rows_kept(
     rows = (times >= how.from_time) & (times <= how.until)
     if not rows.any():
         raise InputError(
-            f"no row is between {how.from_time:g} and {how.until:g} s: the file goes from "
+            f"no row is between {how.from_time:g} and {how.until:g} s: the file extends from "
             f"{times[0]:.6g} to {times[-1]:.6g} s, so correct --from-time and --until"
         )
     if table.merged:

@@ -49,7 +49,8 @@ class Sheet:
             lines.pop()
         if not lines:
             raise InputError(
-                f"{self.path} has a header but no rows: it must have pictures, so add them"
+                f"{self.path} has a header but no rows: it must have at least one picture, so add "
+                f"the rows"
             )
         first = csv_rows(lines[0], self.path, above + 1, self.separator)
         stride = len(first[0]) if first else 0  # of an empty line there is none
@@ -145,7 +146,8 @@ class AbstractFormat(ABC):
         """Times, s, of the numbers of pictures."""
         if how.frame_rate is None:
             raise InputError(
-                f"{sheet.path}: {self.program} counts frames: give --frame-rate, the frame rate of "
+                f"{sheet.path}: {self.program} gives frame numbers instead of times: give "
+                f"--frame-rate, the frame rate of "
                 "the film"
             )
         return self.increasing(sheet, frames / how.frame_rate)
@@ -159,8 +161,7 @@ class AbstractFormat(ABC):
         steps /= np.mean(steps[steps < 1.5 * np.min(steps)])  # others leave pictures out
         if np.any(np.abs(steps - np.round(steps)) > 0.25):  # stamps are rounded to milliseconds
             raise InputError(
-                f"{sheet.path}: its times are not frame numbers in even steps: leave out "
-                "--frame-rate"
+                f"{sheet.path}: the times are not evenly spaced frame numbers: omit --frame-rate"
             )
         frames = np.concatenate([[0.0], np.cumsum(np.round(steps))])
         first = np.round(times[0] / ((times[-1] - times[0]) / frames[-1]))
@@ -173,14 +174,14 @@ class AbstractFormat(ABC):
         if bad.size:
             at = bad[0]
             what = (
-                "has no time: give it one, or leave it out"
+                "has no time: add the time, or remove the row"
                 if not np.isfinite(times[at])
-                else "has the time of the row before: leave one of them out"
+                else "has the same time as the previous row: remove one of the two rows"
                 if steps[at - 1] == 0
                 else "goes back in time: sort the rows, or remove a second recording"
             )
             raise InputError(
-                f"{sheet.path}: rows must follow each other in time, each once, but row "
+                f"{sheet.path}: the time must increase from row to row, but row "
                 f"{sheet.first + at} {what}"
             )
         return times
@@ -191,8 +192,8 @@ class AbstractFormat(ABC):
             return "px"
         if how.unit is None:
             upwards = (
-                ", or of px that are counted upwards --origin U,V, where their origin is in the "
-                "picture"
+                ", or, for px that are counted upwards, --origin U,V, the position of their "
+                "origin in the picture"
             )
             raise InputError(
                 f"{sheet.path}: {self.program} does not state the unit of its coordinates: give "
@@ -218,7 +219,7 @@ class _Points:
         if coordinate in columns:
             raise InputError(
                 f"{self.path} has two points that are called {shown(name)}: rename one, and "
-                "export it again"
+                "export the file again"
             )
         columns[coordinate] = values
 
@@ -322,8 +323,8 @@ class Sleap(AbstractFormat):
             of = np.flatnonzero(tracks == name)
             if len(np.unique(at[of])) < len(of):
                 raise InputError(
-                    f"{sheet.path}: the track {shown(name)} has a picture twice: track the "
-                    "instances, or leave only one of them in each picture"
+                    f"{sheet.path}: the track {shown(name)} has two instances in one picture: "
+                    f"track the instances, or keep only one in each picture"
                 )
             for place, (node, _, coordinate) in kinds.items():
                 values = np.full(len(frames), np.nan)
@@ -421,7 +422,9 @@ class KinoveaText(AbstractFormat):
                 begun = True
                 tracks[-1][1][number] = cells
         if not tracks:
-            raise InputError(f"{sheet.path} has no rows: it must have pictures, so add them")
+            raise InputError(
+                f"{sheet.path} has no rows: it must have at least one picture, so add the rows"
+            )
         found = []
         for name, rows in tracks:
             series = pl.Series("", [cell for row in rows.values() for cell in row])
@@ -590,7 +593,7 @@ class ColumnTable(AbstractFormat):
     """A table whose first row names channels, whatever stands between its cells."""
 
     program = "a spreadsheet"
-    form = "a first row of columns such as time_s and link06_z_mm, or --rename"
+    form = "a first row with column names such as time_s and link06_z_mm, or --rename"
 
     def recognises(self, head: Sequence[Sequence[str]], how: ImportSettings) -> bool:
         return len(head[0]) > 1 and any(cell in how.rename or channel_of(cell) for cell in head[0])
@@ -602,6 +605,7 @@ class ColumnTable(AbstractFormat):
             if old not in header:
                 raise InputError(
                     f"--rename {old}={how.rename[old]}: {sheet.path} has no column {old!r}, but "
+                    f"has "
                     f"{some(header)}: correct the name"
                 )
         names = [how.rename.get(cell, cell) for cell in header]
@@ -615,7 +619,7 @@ class ColumnTable(AbstractFormat):
         try:
             channels = parse_columns([names[place] for place in places]).values()
         except InputError as error:
-            raise InputError(f"{sheet.path}: {error}; or leave it out with --ignore") from None
+            raise InputError(f"{sheet.path}: {error}; or exclude it with --ignore") from None
         rows = sheet.rows(1, len(header))
         kinds = dict(zip(places, channels, strict=True))
         table = rows.numbers(
@@ -689,7 +693,8 @@ def read_foreign(
         )
     known = "; ".join(f"{each.program} ({each.form})" for each in formats)
     raise InputError(
-        f"{path} is not a table that can be read: {known}; ROS 2 (a folder, .mcap or .db3): "
+        f"{path} is in none of the formats that can be read: {known}; ROS 2 (a folder, .mcap or "
+        f".db3): "
         "export it "
         "as one of these"
     )

@@ -60,7 +60,7 @@ def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[SplitRun, ...]:
         parts = [split_run(run, first) for run, first in zip(runs, rows, strict=True)]
         if all(part.held is None for part in parts):
             raise InputError(
-                f"'{name}' holds out no measured value: hold out more, or leave it out"
+                f"'{name}' holds out no measured value: hold out more, or omit this entry"
             )
         for known, first in zip(held_from, rows, strict=True):
             known |= {channel: min(row, known.get(channel, row)) for channel, row in first.items()}
@@ -108,8 +108,8 @@ def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
     last = _LAST.fullmatch(name)
     if bool(named) + bool(measured) + (last is not None) > 1:
         raise InputError(
-            f"'{name}' is to be held out, but several of a run, a channel and the last samples "
-            "have this name: rename the run, or its file"
+            f"'{name}' is to be held out, but more than one of a run, a channel and the last "
+            f"samples have this name: rename the run or its file"
         )
     if len({run.path or id(run) for run in named}) > 1:
         raise InputError(
@@ -121,8 +121,8 @@ def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
             share = float(last[1])
         if not 0 < share < 1:
             raise InputError(
-                f"'{name}' is to be held out, but is not a share: write it like last:0.3, with a "
-                "number between 0 and 1"
+                f"'{name}' is to be held out, but does not state a valid fraction: write it as "
+                f"last:0.3, with a number between 0 and 1"
             )
         return _last(runs, share)
     if named or measured:

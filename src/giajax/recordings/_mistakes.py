@@ -213,9 +213,9 @@ def _labels(measured: Mapping[str, Channel], count: int | None) -> Iterator[Mist
     for by in (-1, 1):
         if min(links.values()) + by >= 1 and max(links.values()) + by <= count:
             moved = {name: f"link{number + by:02d}" for name, number in links.items()}
-            yield called(f"the numbers of the links off by {-by}", moved)
+            yield called(f"the link numbers shifted by {-by}", moved)
     from_tip = {name: f"link{count + 1 - number:02d}" for name, number in links.items()}
-    yield called("the links counted from the tip", from_tip)
+    yield called("the links numbered from the tip", from_tip)
 
 
 def _commands(

@@ -57,7 +57,8 @@ def split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], 
             longest = cast("int | None", texts.len_bytes().max()) or 0
             if longest <= CELL_BYTES and len(series) * (_TEXT_BYTES + longest) > PARQUET_BYTES:
                 raise InputError(
-                    f"{path}: the texts of column {series.name!r} may have {PARQUET_BYTES:,} bytes "
+                    f"{path}: the strings of column {series.name!r} may have {PARQUET_BYTES:,} "
+                    f"bytes "
                     "at most: shorten them"
                 )
             if longest > CELL_BYTES:
@@ -78,7 +79,7 @@ def _check_parquet(schema: Mapping[str, pl.DataType], rows: int, unpacked: int, 
     size = max(rows * row, unpacked)
     if size > PARQUET_BYTES:
         raise InputError(
-            f"{path} has {size:,} bytes when it is unpacked, but may have {PARQUET_BYTES:,} at "
+            f"{path} has {size:,} bytes when it is decompressed, but may have {PARQUET_BYTES:,} at "
             "most: shorten it"
         )
 
@@ -104,7 +105,7 @@ def _rows(data: bytes) -> tuple[int, int]:
                 if open_groups:
                     open_groups[-1] -= 1
             if len(open_groups) > DEPTH:
-                raise ValueError("too deep groups of columns")
+                raise ValueError("column groups that are nested too deeply")
         counts, sizes = [footer[3], sum(group[3] for group in footer[4])], [0]
         heads = 0
         for group in footer[4]:
@@ -115,14 +116,16 @@ def _rows(data: bytes) -> tuple[int, int]:
                 at = about[9] if about.get(11) is None else about[11]
                 end = at + about[7]
                 if at < 4:
-                    raise ValueError("pages before the file begins")
+                    raise ValueError("pages that start before the beginning of the file")
                 while at < end:
                     page, head = _table(data[at : at + _PAGE_HEAD], 0, DEPTH)
                     for kind, encoding in _KINDS.items():
                         if kind in page:
                             counts.append(page[kind][1])
                             if page[kind][encoding] == _PREFIXED:
-                                raise ValueError("texts that repeat those before them")
+                                raise ValueError(
+                                    "strings encoded as repetitions of the strings before them"
+                                )
                     sizes.append(page[2])
                     at += head + page[3]
                     heads += head
@@ -146,7 +149,7 @@ def _number(data: bytes, at: int) -> tuple[int, int]:
         found |= (byte & 127) << shift
         if byte < 128:
             return found, at
-    raise ValueError("a number that does not end")
+    raise ValueError("an unterminated number")
 
 
 def _signed(data: bytes, at: int) -> tuple[int, int]:
@@ -157,7 +160,7 @@ def _signed(data: bytes, at: int) -> tuple[int, int]:
 def _value(data: bytes, at: int, kind: int, depth: int) -> tuple[Any, int]:
     """What stands at a place; text and floating numbers, which say no size, are left out."""
     if at >= len(data) or depth < 0:
-        raise ValueError("a value beyond the end, or too deep")
+        raise ValueError("a value beyond the end of the metadata, or nested too deeply")
     if kind == 3:
         return data[at], at + 1
     if kind in (4, 5, 6):
@@ -179,7 +182,7 @@ def _value(data: bytes, at: int, kind: int, depth: int) -> tuple[Any, int]:
         return found, at
     if kind == 12:
         return _table(data, at, depth - 1)
-    raise ValueError(f"a value of the kind {kind}")
+    raise ValueError(f"a value of the unknown type {kind}")
 
 
 def _table(data: bytes, at: int, depth: int) -> tuple[dict[int, Any], int]:

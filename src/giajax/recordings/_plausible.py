@@ -370,8 +370,8 @@ def _at_commands(look: Look) -> Iterator[Oddity]:
     near = [each for gained, each in gains if gained < best + 0.1][:3]
     yield Oddity(
         near[0].code,
-        "the recorded motion does not follow the commands, but does with corrected columns: "
-        + "; or ".join(each.words for each in near),
+        "the recorded motion does not follow the commands, but would follow them with corrected "
+        "columns: " + "; or ".join(each.words for each in near),
         "; or ".join(dict.fromkeys(each.remedy for each in near)),
         names,
     )
@@ -432,10 +432,11 @@ def _farther_in(pose: _Pose) -> Iterator[_Undone]:
             name = f"joint{min(turning) + 1:02d}_command"
             yield _Undone(
                 "command",
-                f"link {point.link + 1} turns by {np.rad2deg(turned):.2g} deg, but no joint up to "
-                f"it is commanded: {name} may be that of another joint",
-                f"--rename {name}_deg=joint{max(point.link - 1, 0) + 1:02d}_command_deg, or of the "
-                "joint that it is",
+                f"link {point.link + 1} turns by {np.rad2deg(turned):.2g} deg, but no joint "
+                f"between the base and this link is commanded:"
+                f" {name} may belong to another joint",
+                f"--rename {name}_deg=joint{max(point.link - 1, 0) + 1:02d}_command_deg, or to "
+                f"the column of the joint that was commanded",
             )
             return
 
@@ -471,7 +472,8 @@ def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
     if np.max(np.abs(rest - origin[axis])) <= max(enough, 0.2 * np.max(np.abs(rest))):
         yield _Undone(
             "frame",
-            f"the first rows differ from the straight arm by ({stated}) m in all columns: the "
+            f"the first rows differ from the straight arm by ({stated}) m, the same offset in all "
+            f"columns: the "
             "origin of the camera may be wrong",
             f"--free {path} --start {path}={stated}, or subtract it from the columns",
         )

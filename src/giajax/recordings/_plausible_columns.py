@@ -366,7 +366,7 @@ def stamps(look: Look) -> Iterator[Oddity]:
     if counted and (_is_filmed(look) or _swings_faster(look, 5 * middle)):
         yield Oddity(
             "time",
-            f"the stamps count {times[0]:g}, {times[1]:g}, {times[2]:g} s and so on to "
+            f"the time stamps are {times[0]:g}, {times[1]:g}, {times[2]:g} s and so on to "
             f"{times[-1]:g} s, like frame numbers",
             "if so, divide time_s by the frame rate of the camera",
         )
@@ -375,9 +375,10 @@ def stamps(look: Look) -> Iterator[Oddity]:
             ("milliseconds", "time_s=time_ms") if middle > 5 else ("seconds", "time_ms=time_s")
         )
         yield wrong_unit(
-            f"the rows are {middle:.3g} s apart, which is not a usual sample interval: the stamps "
-            f"may be {off}",
-            f"--rename {by}, if they are",
+            f"the rows are {middle:.3g} s apart, which is an unusual sampling interval: the time "
+            f"stamps may be"
+            f" {off}",
+            f"--rename {by}, if this is the case",
         )
 
 
@@ -488,10 +489,11 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
             if beyond:
                 degrees = channel.unit == "rad"
                 said = "degrees" if degrees else "converted twice"
-                renamed = f"--rename {channel.column}={name}_deg, if they are"
+                renamed = f"--rename {channel.column}={name}_deg, if this is the case"
                 yield wrong_unit(
-                    f"{look.of(channel)} is up to {np.rad2deg(most):.4g} deg, or turns faster than "
-                    f"an arm can: the values may be {said}",
+                    f"{look.of(channel)} is up to {np.rad2deg(most):.4g} deg, or changes faster "
+                    f"than an arm can turn"
+                    f": the values may be {said}",
                     renamed if degrees else "convert the values",
                     (name,),
                 )
@@ -503,8 +505,8 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
             usual = float(np.nanquantile(np.abs(values), 0.9))
             if size and usual > 1.2 * size[channel.component or 0]:
                 yield wrong_unit(
-                    f"{shown} px, but the picture has {size[channel.component or 0]} px: it may be "
-                    "from an image of another size",
+                    f"{shown} px, but the picture has {size[channel.component or 0]} px: the "
+                    f"pixels may refer to an image of another size",
                     "correct size_px in [camera.NAME], or the columns",
                     (name,),
                 )
@@ -514,8 +516,8 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
         size = float(np.nanmedian(np.sqrt(np.sum(np.square(parts), axis=0))))
         if len(parts) == 3 and 0.9 < size < 1.1:
             yield wrong_unit(
-                f"{name} is {size:.3g} m/s^2 as a median, but 9.81 is expected at rest: it may be "
-                "in g",
+                f"{name} has a median of {size:.3g} m/s^2, but 9.81 is expected at rest: it may "
+                f"be in g",
                 "multiply its columns by 9.81",
                 (name,),
             )
@@ -546,7 +548,7 @@ def noise_too_small(look: Look) -> Iterator[Oddity]:
             unit = "the values may be in rad, " if angle and cells.channel.unit == "deg" else ""
             yield Oddity(
                 "units" if unit else "noise",
-                f"{look.of(cells.channel)} differs from cell to cell {factor:.2g} times less than "
+                f"{look.of(cells.channel)} varies from cell to cell {factor:.2g} times less than "
                 f"the stated noise: {unit}{'or ' * bool(unit)}the stated noise is too large",
                 (f"--rename {cells.channel.column}={name}_rad, or " if unit else "")
                 + "correct [noise]",

@@ -104,8 +104,9 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
         ratio = float(np.max(mass / displaced))
         if not 1e-2 < ratio < 10:
             yield wrong_constant(
-                f"a link weighs {ratio:.3g} times the air that it displaces, but without gravity "
-                "buoyancy must balance it: the mass, or a size, may be off by a power of ten",
+                f"a link weighs {ratio:.3g} times the air that it displaces, but without gravity, "
+                f"buoyancy must balance its weight: the mass or a dimension may be wrong by a "
+                f"power of ten",
                 "correct link_mass_kg, link_diameter_m or link_length_m in [arm], or state "
                 "gravity_m_per_s2",
             )
@@ -120,8 +121,9 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
         upright = np.any(np.abs(known.get(BASE.base_rotation.path, np.zeros(3))) > 0.5)
         if least > 0 and torque > np.pi / 2 * least and not upright and section.muscles is None:
             yield wrong_constant(
-                f"with gravity and without buoyancy the arm weighs {torque:.3g} N m about its "
-                f"base, which a joint of {least:.3g} N m/rad cannot carry",
+                f"with gravity and without buoyancy the weight of the arm exerts {torque:.3g} N m "
+                f"about its "
+                f"base, which a joint with a stiffness of {least:.3g} N m/rad cannot support",
                 "state buoyancy = true and trim = true in [arm], or gravity_m_per_s2 = 0 where "
                 "buoyancy balances weight",
             )

@@ -85,8 +85,8 @@ def observing(run: Run, channels: Sequence[str]) -> Run:
     for name in channels:
         if name not in selected.observations:
             raise InputError(
-                f"'{name}' of '{run.name}' drives the model, which does not predict it: "
-                "name another channel"
+                f"'{name}' of '{run.name}' is an input of the model and is not predicted: name "
+                f"another channel"
             )
     return selected
 
@@ -117,12 +117,13 @@ def windows(run: Run, length: float) -> list[Run]:
     if run.times is None or not _has_state(run):
         raise InputError(
             f"'{run.name}' cannot be cut into windows, because a run of the {run.model} model has "
-            "no initial state: leave out the windows"
+            "no initial state: omit the windows"
         )
     if not run.definition.section(InitialSection).first_row:
         raise InputError(
-            f"'{run.name}' cannot be cut into windows, because each needs its own initial state: "
-            "say first_row = true in [initial], and free = true where angles are not recorded"
+            f"'{run.name}' cannot be cut into windows, because each window needs its own initial "
+            f"state: state"
+            " first_row = true in [initial], and free = true where angles are not recorded"
         )
     count = max(np.floor((run.times[-1] - run.times[0]) / length + 0.5), 1)
     rows = np.zeros(2, dtype=int)
@@ -131,7 +132,8 @@ def windows(run: Run, length: float) -> list[Run]:
         rows = np.searchsorted(run.times, edges - 1e-9 * length)
     if np.min(np.diff(rows)) < 4:
         raise InputError(
-            f"a window of {length:g} s of '{run.name}' holds fewer than 4 samples: make it longer"
+            f"a window of {length:g} s of '{run.name}' holds fewer than 4 samples: make the "
+            f"window longer"
         )
     parts = [
         rows_of(run, slice(first, last), f"{run.name} {run.times[first] - run.times[0]:.4g} s")
@@ -141,8 +143,8 @@ def windows(run: Run, length: float) -> list[Run]:
         for channel, values in part.observations.items():
             if np.all(np.isnan(values)):
                 raise InputError(
-                    f"the window '{part.name}' has no value of {channel}: make windows longer, or "
-                    "leave the channel out"
+                    f"the window '{part.name}' has no value of {channel}: use longer windows, or "
+                    f"exclude the channel"
                 )
     return parts
 
@@ -182,8 +184,8 @@ def read_run(
     table = read_table(path, rename)
     if sidecar.sha256 is not None and sidecar.sha256 != table.sha256:
         raise InputError(
-            f"{path} has the SHA-256 {table.sha256[:12]}..., but {sidecar_path(path)} says "
-            f"{sidecar.sha256[:12]}...: get the file again, or correct sha256 there"
+            f"{path} has the SHA-256 {table.sha256[:12]}..., but {sidecar_path(path)} states "
+            f"{sidecar.sha256[:12]}...: get the file again, or correct sha256 in the sidecar"
         )
     return run_of(table, path, _with_definition(sidecar, definition))
 
@@ -207,7 +209,10 @@ class LineReader:
     def check_names(self, header: bytes) -> None:
         """Raise `InputError` unless a line names columns of a run over time."""
         if table_of_lines(header, self._path, self._rename).times is None:
-            raise InputError(f"{self._path} has no time_s, by which it is followed: give it")
+            raise InputError(
+                f"{self._path} has no column time_s, which is required to follow it: "
+                f"add this column"
+            )
 
     def read(self, data: bytes, first_row: int = 2, *, partial: bool = False) -> Run:
         """The run of some lines, of which the first one names the columns.
@@ -291,8 +296,8 @@ def read_sidecar(path: str | Path) -> Definition:
     for section in ("fit", "figures", "filling", "unrolling"):
         if section in definition.model_fields_set:
             raise InputError(
-                f"{sidecar} is the sidecar of {path}, where [{section}] must not be: move it to "
-                "a fit definition, a TOML file of another name"
+                f"{sidecar} is the sidecar of {path}, which must not contain [{section}]: move "
+                f"this section to a fit definition, a TOML file with another name"
             )
     return definition
 
@@ -309,8 +314,8 @@ def parse_rename(pairs: list[str], option: str = "--rename") -> dict[str, str]:
         old, equals, new = pair.rpartition("=")
         if not equals or not old or not new:
             raise InputError(
-                f"{option} {pair!r} must be OLD=NEW: give the file's name of the column and its "
-                "name in the column table"
+                f"{option} {pair!r} must be OLD=NEW: give the name of the column in the file and "
+                f"its name in the column table"
             )
         if old in rename:
             raise InputError(f"{option} gives {old!r} twice, but must give it once: remove one")
@@ -335,7 +340,7 @@ def check_output_files(paths: Iterable[str | Path], *, force: bool) -> None:
         check_replaced(path)
         # A broken link is there as well, for whoever made it.
         if os.path.lexists(path) and not force:
-            raise InputError(f"{path} exists and is not written over: give another name or --force")
+            raise InputError(f"{path} exists and is not overwritten: give another name or --force")
         if not path.parent.is_dir():
             raise InputError(
                 f"{path} cannot be written, because the folder {path.parent} does not exist: "
@@ -343,7 +348,8 @@ def check_output_files(paths: Iterable[str | Path], *, force: bool) -> None:
             )
         if not os.access(path.parent, os.W_OK | os.X_OK):
             raise InputError(
-                f"{path} cannot be written, because nothing may be written to {path.parent}: "
+                f"{path} cannot be written, because there is no permission to write to "
+                f"{path.parent}: "
                 "give another name"
             )
 
@@ -352,7 +358,9 @@ def check_run_name(path: str | Path) -> Path:
     """The path, unless its name does not end in `.csv`: no run can be written to that."""
     path = Path(path)
     if path.suffix != ".csv":
-        raise InputError(f"{path} must end in .csv to be written as a run: give such a name")
+        raise InputError(
+            f"{path} must end in .csv to be written as a run: give a name that ends in .csv"
+        )
     return path
 
 
@@ -376,14 +384,14 @@ def check_output_folder(
     check_path(folder)
     if folder.suffix in _FILES and not folder.exists():
         raise InputError(
-            f"{folder} is the name of a file, but a folder is written: give the name of one"
+            f"{folder} is a file, but the output must be a folder: give the name of a folder"
         )
     # A name that is a broken link exists for mkdir, but not for `exists`.
     while not existing.exists() and not existing.is_symlink() and existing != existing.parent:
         existing = existing.parent
     if not existing.is_dir():
         what = "is a file" if existing.exists() else "is a broken link"
-        raise InputError(f"{existing} {what}, but a folder is written: give another one")
+        raise InputError(f"{existing} {what}, but the output must be a folder: give another name")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise InputError(f"{existing} cannot be written: give another folder")
     for name in all_pictures(names):
@@ -391,7 +399,7 @@ def check_output_folder(
         check_replaced(folder / name)
         if os.path.lexists(folder / name) and not force:
             raise InputError(
-                f"{folder / name} exists and is not written over: give another folder or --force"
+                f"{folder / name} exists and is not overwritten: give another folder or --force"
             )
 
 
@@ -406,7 +414,7 @@ def make_folder(folder: str | Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"the folder {folder} cannot be made ({error.strerror}): give another one"
+            f"the folder {folder} cannot be created ({error.strerror}): give another folder"
         ) from None
     return folder
 
@@ -448,7 +456,7 @@ def write_run(
     if definition is None and os.path.lexists(sidecar):
         raise InputError(
             f"{sidecar} would become the sidecar of the new {path.name}, which it does not "
-            "describe: move it away, or write the run elsewhere"
+            "describe: move this sidecar, or write the run to another folder"
         )
     data = _csv(times, values, units or {}, digits).encode()
     contents = {path: data}
@@ -519,8 +527,8 @@ def _csv(
     lengths = {name: len(cells) for name, cells in columns.items()}
     if len(set(lengths.values())) > 1:
         raise InputError(
-            f"columns have different numbers of samples ({lengths}), but must have the same: "
-            "give every channel at every time"
+            f"columns have different numbers of samples ({lengths}), but must have the same "
+            f"number: give every channel a value at every time"
         )
     lines = [",".join(columns), *map(",".join, zip(*columns.values(), strict=True))]
     return "\n".join(lines) + "\n"

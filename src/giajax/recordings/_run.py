@@ -43,8 +43,9 @@ def check_times(times: Times, naming: Naming, *, integrated: bool) -> None:
     if (at := _first(~np.isfinite(times))) is not None:
         state = "infinite" if np.isinf(times[at]) else "empty"
         raise InputError(
-            f"{naming.source}: time in {naming.at(at)} is {state}, but every sample must have its "
-            "time: complete or remove it"
+            f"{naming.source}: time in {naming.at(at)} is {state}, but every sample must have a "
+            f"time"
+            ": add the time, or remove the sample"
         )
     if (at := _first(np.abs(times) > TIME_S)) is not None:
         raise InputError(
@@ -74,7 +75,8 @@ def check_times(times: Times, naming: Naming, *, integrated: bool) -> None:
     if integrated and (at := _first(steps > GAP_S)) is not None:
         raise InputError(
             f"{naming.source}: {naming.at(at + 1)} is {steps[at]:.6g} s after the one before, but "
-            f"may be {GAP_S:g} s after it at most: correct the stamp, or cut the run in two"
+            f"may be at most"
+            f" {GAP_S:g} s after it: correct the stamp, or cut the run in two"
         )
     if integrated and times[-1] - times[0] > DURATION_S:
         raise InputError(
@@ -93,8 +95,8 @@ def _check_unit(times: Times, steps: Times, naming: Naming) -> None:
     if (at := _first(follow)) is not None:
         raise InputError(
             f"{naming.source}: time goes from {times[at + 1]:.9g} s to {times[at + 2]:.9g} s in "
-            f"{naming.at(at + 2)}, and from there on as if in milliseconds, but must have one "
-            "unit: convert the stamps"
+            f"{naming.at(at + 2)}, and continues as if in milliseconds, but all times must have "
+            f"the same unit: convert the time stamps"
         )
 
 
@@ -138,9 +140,9 @@ def _check_lengths(content: "Run", naming: Naming, *, partial: bool) -> None:
         run = f"{'an' if kind.name[0] in 'aeiou' else 'a'} {kind.name} run"
         raise InputError(
             f"{naming.source} has no time column: {run} must have time_s or time_ms, "
-            "so add or --rename it"
+            "so add this column, or rename one with --rename"
             if naming.columns
-            else f"{naming.source} has no times: {run} must have them, so give them"
+            else f"{naming.source} has no sample times: {run} must have them, so give them"
         )
     length = len(next(iter(values.values()))) if times is None else len(times)
     for name, array in values.items():
@@ -182,13 +184,15 @@ def _check_numbers(
         )
     if (at := _first(np.abs(array) > VALUE)) is not None:
         raise InputError(
-            f"{called} is {channel.from_si(array[at]):.3g} in {naming.at(at)}, but no value of a "
-            "recording is so large: correct or empty it"
+            f"{called} is {channel.from_si(array[at]):.3g} in {naming.at(at)}, but no recorded "
+            f"value can be so large"
+            ": correct or empty it"
         )
     if empty == "none" and (at := _first(missing)) is not None:
         raise InputError(
-            f"{called} is empty in {naming.at(at)}, but what drives the model must be known at "
-            "every sample: fill the gap"
+            f"{called} is empty in {naming.at(at)}, but the inputs of the model must be known at "
+            f"every sample"
+            ": fill the gap"
         )
 
 
@@ -292,8 +296,9 @@ class Run(ShownAsTable):
         stated = {**stated, **(units or {})}
         if absent := [column for column in stated if column not in given]:
             raise InputError(
-                f"{name}: units has {absent[0]!r}, which is not a column, or is a column of "
-                "stamps, which have no unit: remove it"
+                f"{name}: units contains {absent[0]!r}, which is not a column, or is a column of "
+                f"time stamps, which take no unit"
+                ": remove it"
             )
         columns = {
             f"{column}_{stated[column]}" if column in stated else column: array
@@ -508,7 +513,8 @@ def _columns(frame: Any) -> tuple[dict[str, Any], dict[str, str]]:
                 columns = {str(index.name): array, **columns}
     else:
         raise InputError(
-            f"a run is not made from a {type(frame).__name__}: give a frame of pandas or Polars, "
+            f"a run cannot be made from an object of type {type(frame).__name__}: give a data "
+            f"frame of pandas or Polars, "
             "a dataset of xarray, or arrays by name"
         )
     for name in {"time", "time_s"} & columns.keys():
@@ -543,7 +549,8 @@ def _numbers(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
         raise InputError(f"{what} must be numbers: convert the values to float") from None
     if array.ndim != 1:
         raise InputError(
-            f"{what} has the shape {array.shape}, but must have one dimension, the samples: "
+            f"{what} has the shape {array.shape}, but must have one dimension, that of the "
+            f"samples: "
             "give one array for each channel"
         )
     return array
@@ -552,7 +559,7 @@ def _numbers(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
 def _text(values: npt.ArrayLike, what: str) -> npt.NDArray[Any]:
     array = np.array(values, dtype=object)
     if array.ndim != 1:
-        raise InputError(f"{what} must be a list of text, one a sample: give it as such")
+        raise InputError(f"{what} must be a list of strings, one for each sample: give such a list")
     return array
 
 

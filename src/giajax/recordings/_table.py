@@ -44,7 +44,7 @@ def check_header(text: str, path: Path) -> None:
         below = _cells(lines[comments]) if comments < len(lines) else []
         # As numpy writes it: the names are in the last comment, and numbers follow.
         if below and all(_NUMERIC.fullmatch(cell) or not cell for cell in below):
-            above = "" if comments == 1 else " and what is above that line"
+            above = "" if comments == 1 else " and everything above that line"
             raise InputError(
                 f"{path}: line {comments} comes before the numbers and must name the columns, but "
                 f"begins with '#': remove the '#'{above}"
@@ -132,9 +132,9 @@ def split_csv(
         for separator, called in ((";", "semicolons"), ("\t", "tabs")):
             if separator in header[0]:
                 raise InputError(
-                    f"{path} separates its cells with {called}, but must do so with commas "
-                    "(and write numbers with a decimal point): export it again, or make a run of "
-                    "it with giajax import"
+                    f"{path} separates its cells with {called}, but commas must separate the "
+                    f"cells (and numbers must have a decimal point): export the file again, or "
+                    f"convert it with giajax import"
                 )
     if not body:
         return header, [], first_row
@@ -368,16 +368,16 @@ def _renamed(header: Sequence[str], rename: Mapping[str, str], path: Path) -> li
     for old, new in rename.items():
         if old not in header:
             near = difflib.get_close_matches(old, header, n=1, cutoff=0.6)
-            hint = f"did you mean {near[0]!r}?" if near else "give a name that is there"
+            hint = f"did you mean {near[0]!r}?" if near else "give the name of an existing column"
             there = ", ".join(header[:8]) + (", ..." if len(header) > 8 else "")
             raise InputError(
-                f"--rename {old}={new}: {path} has no column {old!r}, but {there}: {hint}"
+                f"--rename {old}={new}: {path} has no column {old!r}, but has {there}: {hint}"
             )
         try:
             parse_column(new)
         except InputError:
             closest = nearest(new)
-            hint = f"did you mean {closest!r}?" if closest else "give one such as link06_z_m"
+            hint = f"did you mean {closest!r}?" if closest else "give a name such as link06_z_m"
             raise InputError(
                 f"--rename {old}={new}: {new!r} is not in the column table: {hint}"
             ) from None
@@ -385,8 +385,8 @@ def _renamed(header: Sequence[str], rename: Mapping[str, str], path: Path) -> li
     for position, name in enumerate(names, start=1):
         if not name:
             raise InputError(
-                f"{path}: column {position} has no name, but must have one of the column table: "
-                "name or remove it"
+                f"{path}: column {position} has no name, but must have a name from the column "
+                f"table: name or remove the column"
             )
     return names
 

@@ -169,7 +169,7 @@ def filmed_beside(
     table: dict[str, npt.NDArray[np.float64]] = {}
     for moments, inputs, measured, steps in (beside, Beside(times, *_parted(values), held)):
         for name in (name for name in (*inputs, *measured) if name in table):
-            raise InputError(f"{name} is there twice: name the cameras, or leave one out")
+            raise InputError(f"{name} is given twice: name the cameras, or remove one of the two")
         for name, column in inputs.items():
             last = np.maximum(np.searchsorted(moments, rows, side="right") - 1, 0)
             jumps = steps and Channel.named(name).quantity != "velocity"  # that of a wind
