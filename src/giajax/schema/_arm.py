@@ -42,23 +42,24 @@ def check_pressures(content: RecordedRun, naming: Naming) -> None:
         (other,) = (row for row in PRESSURES if row != kind)
         if (other, joint) not in names:
             raise InputError(
-                f"{naming.source}: {naming.of(channel)} is there without that of the joint's "
-                f"other muscle: add the column joint{joint:02d}_{other.removeprefix('joint_')}_kPa"
+                f"{naming.source}: {naming.of(channel)} is given without the column of the other "
+                f"muscle of the joint:"
+                f" add the column joint{joint:02d}_{other.removeprefix('joint_')}_kPa"
             )
         if ("joint_command", joint) in names:
             raise InputError(
-                f"{naming.source}: joint {joint} has a command and pressures, but one of them "
-                "moves it: remove the column of the other"
+                f"{naming.source}: joint {joint} has a command and pressures, but only one of "
+                f"them can drive the joint: remove the columns of the other"
             )
         low = np.flatnonzero(content.values[channel.name] < 0)
         if low.size:
             raise InputError(
                 f"{naming.source}: {naming.of(channel)} is below 0 in {naming.at(low[0])}: give "
-                "the pressure above the surroundings"
+                f"the gauge pressure, which is at least 0"
             )
         if (joints := _with_muscles(content.definition.section(ArmSection))) and not joints(joint):
             raise InputError(
-                f"{naming.source}: {naming.of(channel)} is there, but joint {joint} has no "
+                f"{naming.source}: {naming.of(channel)} is given, but joint {joint} has no "
                 "muscles: correct the name, or muscles in [arm]"
             )
 
@@ -119,8 +120,8 @@ def preset_sentence(taken: Collection[str], where: str = "[arm] names no preset"
     """That an arm is that of the default preset in what is not stated, and how to name another."""
     what = ", ".join(taken) if len(taken) < len(NO_NEUTRAL) else "the constants"
     return (
-        f"{where}: {what} of the preset {DEFAULT_PRESET} are assumed; name a preset in [arm], such "
-        'as "chain" for an arm of your own'
+        f"{where}: {what} are taken from the preset {DEFAULT_PRESET}; "
+        'state a preset in [arm], such as "chain" for an arm of your own'
     )
 
 
@@ -188,18 +189,20 @@ def arm_template(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
     return [
         *([] if commanded else [SectionTemplate("", {"free_motion": True})]),
         SectionTemplate(
-            "arm", arm, "known constants; a number holds for all links, a list has one a link"
+            "arm",
+            arm,
+            "known constants; a number applies to all links, a list has one value for each link",
         ),
         SectionTemplate(
             "sensors",
             dict.fromkeys(sensors),
-            "known errors of the recording; a fit can find them too",
+            "known errors of the recording; a fit can estimate them",
         ),
         *_cameras(channels),
         SectionTemplate(
             "initial",
             dict.fromkeys((*state, "free")),
-            "at the first sample; a number holds for all joints",
+            "state at the first sample; a number applies to all joints",
         ),
         *([SectionTemplate("command", {"interpolation": None})] if commanded else []),
         SectionTemplate("wind", {wind: None}),
@@ -211,8 +214,8 @@ def _cameras(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
     seen = [channel for channel in channels if channel.kind in PIXELS]
     cameras = sorted({channel.camera or "main" for channel in seen})
     marks = sorted({channel.index or 0 for channel in seen if channel.kind == "mark_pixel"})
-    lens = "its lens and where it is; a fit can find these too"
-    where = "where this landmark is; must be stated"
+    lens = "lens and pose of the camera; a fit can estimate them"
+    where = "position of this landmark; must be stated"
     keys, of_mark = (dict.fromkeys(of.model_fields) for of in (PinholeSection, LandmarkSection))
     return [
         *(SectionTemplate(f"camera.{name}", keys, lens) for name in cameras),
@@ -226,8 +229,8 @@ def check_obstacles(section: ArmSection, source: str | None = None) -> None:
     for key in (quantity.key.name for quantity in CONTACT if quantity.key is not None):
         if getattr(section, key) is not None and not section.obstacles:
             raise InputError(
-                f"{about}arm.{key} is stated, but no obstacles: add them as "
-                "[[arm.obstacles]], or remove it"
+                f"{about}arm.{key} is stated, but the arm has no obstacles: add them as "
+                f"[[arm.obstacles]], or remove this key"
             )
 
 
@@ -249,8 +252,9 @@ def _check(content: RecordedRun, naming: Naming) -> None:
         if links is not None and numbered and (channel.index or 0) > links:
             part = "joint" if channel.kind.startswith("joint") else "link"
             raise InputError(
-                f"{naming.source}: {naming.of(channel)} is of {part} {channel.index}, but the "
-                f"arm has {links} links: correct the name, or state links in [arm]"
+                f"{naming.source}: {naming.of(channel)} refers to {part} {channel.index}, but the "
+                f"arm has only"
+                f" {links} links: correct the name, or state links in [arm]"
             )
     for name, check in (
         ("arm", section.check_lists),
@@ -265,16 +269,17 @@ def _check(content: RecordedRun, naming: Naming) -> None:
     for body in section.point_masses or ():
         if links is not None and body.link > links:
             raise InputError(
-                f"{naming.source}: a body of arm.point_masses is on link {body.link}, but the "
-                f"arm has {links} links: correct the number, or state links in [arm]"
+                f"{naming.source}: a body of arm.point_masses is on link {body.link}, but the arm "
+                f"has only"
+                f" {links} links: correct the number, or state links in [arm]"
             )
     _check_motion(content, naming, links)
     check_pressures(content, naming)
     windy = [channel for channel in channels.values() if channel.kind in WINDS]
     if windy and definition.section(WindSection).velocity_m_per_s is not None:
         raise InputError(
-            f"{naming.source}: wind.velocity_m_per_s states a constant wind, but "
-            f"{naming.of(windy[0])} records it: remove one or the other"
+            f"{naming.source}: wind.velocity_m_per_s states a constant wind, but the column "
+            f"{naming.of(windy[0])} records it: remove one of the two"
         )
 
 
@@ -292,13 +297,14 @@ def _check_motion(content: RecordedRun, naming: Naming, links: int | None) -> No
     free = bool(content.definition.free_motion)
     if commanded and free:
         raise InputError(
-            f"{naming.source}: free_motion = true is stated, but there are command columns: "
-            "remove one or the other"
+            f"{naming.source}: free_motion = true is stated, but the run has command columns: "
+            f"remove the key or the columns"
         )
     if not (commanded or free or initial.first_row or initial.free or initial.values()):
         raise InputError(
             f"{naming.source} has no command column: an arm run must have one such as "
-            "joint01_command_deg, or a sidecar with free_motion = true or [initial], so add it"
+            "joint01_command_deg, or a sidecar with free_motion = true or [initial], so add one "
+            "of these"
         )
 
 
@@ -312,12 +318,13 @@ def _notes(content: RecordedRun, sidecar: bool) -> list[str]:
         notes.append(preset_sentence(taken, *about))
     if missing := missing_of_chain(section):
         notes.append(
-            f"[arm] of the preset chain has no {', '.join(missing)}, and a fit refuses it: state "
-            "keys in [arm] and joints.* in [arm.parameters] (of these 0 is a value)"
+            f"[arm] of the preset chain has no {', '.join(missing)}, and a fit requires these "
+            f"values: state keys"
+            " in [arm] and joints.* in [arm.parameters] (0 is a valid value there)"
         )
     unknown = [each.path for each in GEOMETRY if each.path not in (section.parameters or {})]
     if section.preset == "chain" and section.muscles and unknown:
-        notes.append(f"muscles as giajax assumes them for the paper's arm: {', '.join(unknown)}")
+        notes.append(f"muscles assumed as in the arm of the paper: {', '.join(unknown)}")
     own = set(section.joint_laws or ()) - {"hardening", "end_stops"}
     if rows & set(PRESSURES) and section.muscles is None and not own:
         notes.append(
@@ -332,15 +339,17 @@ def _notes(content: RecordedRun, sidecar: bool) -> list[str]:
         rows & set(COMMANDS)
         and "interpolation" not in definition.section(CommandSection).contents()
     ):
-        notes.append("command interpolation not stated: linear between two rows")
+        notes.append("command interpolation not stated: linear between samples")
     absent = [f"wind_{axis}" for axis in "xyz" if f"wind_{axis}" not in content.channels]
     if "wind" in rows:
-        notes += [f"{' and '.join(absent)} not recorded: taken as zero"] if absent else []
+        notes += [f"{' and '.join(absent)} not recorded: assumed to be zero"] if absent else []
     elif "link_wind" in rows:
         columns = sum(each.kind == "link_wind" for each in content.channels.values())
         links = links_of(section)
         if links is None or columns < 3 * links:
-            notes.append("wind of links or along axes that are not recorded: taken as zero")
+            notes.append(
+                "wind not recorded for all links and axes: assumed to be zero where missing"
+            )
     elif definition.section(WindSection).velocity_m_per_s is None and (
         definition.section(ArmSection).wind_field is None
     ):
@@ -368,5 +377,5 @@ ARM = Kind(
     check=_check,
     notes=_notes,
     template=arm_template,
-    template_heading=f"# is as in the preset {DEFAULT_PRESET}.",
+    template_heading=f"# is taken from the preset {DEFAULT_PRESET}.",
 )

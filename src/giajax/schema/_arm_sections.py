@@ -60,7 +60,7 @@ class PinholeSection(Section):
 
     mount: Annotated[str, Field(pattern=_PLACES.pattern)] | None = key(
         '"room", "tip" or a link such as "link06"',
-        "what the camera is fixed to, and moves with",
+        "body that the camera is fixed to",
         preset="room",
     )
     size_px: (
@@ -70,7 +70,7 @@ class PinholeSection(Section):
         | None
     ) = key(
         "a list of two whole numbers of pixels",
-        "width and height of the picture",
+        "width and height of the image",
         example=[1920, 1080],
     )
 
@@ -115,8 +115,9 @@ class CamerasSection(_Named):
         for name in self.named():
             if not re.fullmatch(CAMERA_NAME, name, re.ASCII) or name in taken:
                 raise ValueError(
-                    f"has a camera {name!r}, but a name has letters, digits and _, begins with a "
-                    "letter and is not one of {', '.join(taken)}: rename it"
+                    f"has a camera {name!r}, but a name must have letters, digits and _, begin "
+                    f"with a letter and not be one of"
+                    f" {', '.join(taken)}: rename it"
                 )
         return self
 
@@ -125,7 +126,8 @@ class CamerasSection(_Named):
         for name, camera in self.named().items():
             if links is not None and (camera.link or 0) > links:
                 raise ValueError(
-                    f"{name}.mount is link {camera.link}, but the arm has {links} links: correct "
+                    f"{name}.mount is link {camera.link}, but the arm has only {links} links: "
+                    f"correct "
                     "the number, or state links in [arm]"
                 )
 
@@ -142,11 +144,12 @@ class LandmarksSection(_Named):
             number = re.fullmatch("mark([0-9]{2,3})", name, re.ASCII)
             if not number or name != f"mark{int(number[1]) or 1:02d}":
                 raise ValueError(
-                    f"has a landmark {name!r}, but they are called mark01, mark02, and so on: "
+                    f"has a landmark {name!r}, but landmarks must be called mark01, mark02, and "
+                    f"so on: "
                     "rename it"
                 )
             if "position_m" not in mark.contents():
-                raise ValueError(f"does not say where {name} is: give {name}.position_m")
+                raise ValueError(f"does not state the position of {name}: give {name}.position_m")
         return self
 
 
@@ -174,12 +177,12 @@ class InitialSection(Section):
 
     first_row: bool | None = key(
         "true or false",
-        "true: as in the first row of the joint angle and rate columns",
+        "true: the initial state is read from the first row of the joint angle and rate columns",
         example=True,
     )
     free: bool | None = key(
         "true or false",
-        "true: parameters of this run, which a fit finds; the others are a start",
+        "true: a fit estimates the initial state of this run; the other keys are start values",
         example=True,
     )
 
@@ -187,21 +190,21 @@ class InitialSection(Section):
     def _stated_once(self) -> "InitialSection":
         if self.first_row and self.values():
             raise ValueError(
-                "says first_row = true and angle_deg or rate_deg_per_s, but must say the state "
-                "once: remove one or the other"
+                "states first_row = true and angle_deg or rate_deg_per_s, but the state must be "
+                "stated only once: remove one of the two"
             )
         return self
 
 
 Interpolation = Literal["zoh", "linear"]
-_BETWEEN_ROWS = '"linear" or "zoh" (held until the next row)'
+_BETWEEN_ROWS = '"linear" or "zoh" (held until the next sample)'
 
 
 class CommandSection(Section):
     """`[command]`: how the joint commands run between two rows."""
 
     interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "between two rows", default="linear", example="linear"
+        _BETWEEN_ROWS, "interpolation between samples", default="linear", example="linear"
     )
 
 
@@ -209,7 +212,7 @@ class WindSection(Section):
     """`[wind]`: how the wind columns run between two rows, or a constant wind instead."""
 
     interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "between two rows", default="linear", example="linear"
+        _BETWEEN_ROWS, "interpolation between samples", default="linear", example="linear"
     )
     velocity_m_per_s: Vector | None = key(
         "a list of three numbers",
@@ -231,11 +234,12 @@ class PointMass(Section):
     """An entry of `[[arm.point_masses]]`: a small body fixed to a link."""
 
     link: Annotated[int, Field(ge=1, le=MOST_LINKS)] = key(
-        f"a whole number from 1 to {MOST_LINKS}", "link that carries it", default=...
+        f"a whole number from 1 to {MOST_LINKS}", "link that carries the body", default=...
     )
     structural: bool | None = key(
         "true or false",
-        "the body is part of the link itself, which link_inertia_kg_m2 replaces; giajax writes it",
+        "true: the body is a part of the link itself, which link_inertia_kg_m2 replaces; giajax "
+        "writes this key",
         preset=False,
     )
 
@@ -257,23 +261,28 @@ class Obstacle(Section):
     """An entry of `[[arm.obstacles]]`: something rigid that links may touch."""
 
     shape: Literal["box", "plane", "wall"] = key(
-        '"box", "plane" or "wall"', "a box, a half space, or a wall with an opening", default=...
+        '"box", "plane" or "wall"',
+        "shape of the obstacle: a box, a half space, or a wall with an opening",
+        default=...,
     )
-    name: Name = key("a name", "what results call it", default=...)
+    name: Name = key("a name", "name of the obstacle in results", default=...)
     centre_m: Vector = key(
         "a list of three numbers",
-        "centre of a box or of an opening, or a point of a plane",
+        "centre of a box or of an opening, or a point on a plane",
         default=...,
     )
     size_m: _THREE | None = key("three positive numbers", "size of a box along x, y and z")
-    normal: Vector | None = key("a list of three numbers", "of a plane, away from its solid side")
+    normal: Vector | None = key(
+        "a list of three numbers", "normal of a plane, pointing away from its solid side"
+    )
     opening_m: _TWO | None = key("two positive numbers", "width and height of an opening")
     margins_m: _FOUR | None = key(
-        "four positive numbers", "wall to the right of, below, to the left of and above an opening"
+        "four positive numbers",
+        "width of the wall to the right of, below, to the left of and above an opening",
     )
     thickness_m: Positive | None = key("a positive number", "thickness of a wall")
     rotation_deg: Vector | None = key(
-        "a list of three numbers", "turn against the base frame, as a rotation vector"
+        "a list of three numbers", "rotation relative to the base frame, as a rotation vector"
     )
 
     @model_validator(mode="after")
@@ -281,16 +290,16 @@ class Obstacle(Section):
         needed, allowed = SHAPES[self.shape]
         for name in needed:
             if getattr(self, name) is None:
-                raise ValueError(f"the {self.shape} '{self.name}' has no {name}: add it")
+                raise ValueError(f"the {self.shape} '{self.name}' lacks the key {name}: add it")
         every = {name for keys in SHAPES.values() for part in keys for name in part}
         for name in sorted(every - {*needed, *allowed}):
             if getattr(self, name) is not None:
                 raise ValueError(
-                    f"the {self.shape} '{self.name}' has {name}, which is of another shape: "
-                    "remove it"
+                    f"the {self.shape} '{self.name}' has {name}, which belongs to another shape: "
+                    f"remove it"
                 )
         if self.normal == [0.0, 0.0, 0.0]:
-            raise ValueError(f"the normal of '{self.name}' has no direction: correct it")
+            raise ValueError(f"the normal of '{self.name}' is zero: give a vector that is not zero")
         return self
 
 
@@ -300,12 +309,12 @@ class FillingSection(Section):
 
     supply: Literal["flow", "regulator", "bottle"] | None = key(
         '"flow", "regulator" or "bottle"',
-        "a flow meter, or a regulator or a bottle behind a restriction",
+        "gas supply: a flow meter, or a regulator or a bottle behind a restriction",
         preset="flow",
     )
     shared: list[Annotated[list[Count], Field(min_length=2)]] | None = key(
         "a list of lists of link numbers",
-        "neighbouring links that are not welded apart, and share their gas",
+        "neighbouring links without a weld between them, which share one gas volume",
         example=[[1, 2], [3, 4]],
     )
 
@@ -316,15 +325,18 @@ class UnrollingSection(Section):
 
     order: Literal["roll first", "by gas"] | None = key(
         '"roll first" or "by gas"',
-        "a hand rolls the arm out, and gas is injected then; or gas rolls it out",
+        "roll first: a hand unrolls the arm, then gas is injected; by gas: the gas unrolls it",
         preset="roll first",
     )
     hand: Literal["speed", "force"] | None = key(
-        '"speed" or "force"', "what of a hand is held while it rolls the arm out", preset="speed"
+        '"speed" or "force"',
+        "quantity that the hand keeps constant while it unrolls the arm",
+        preset="speed",
     )
     carried: bool | None = key(
         "true or false",
-        "the roll is carried, and does not lie on a floor: its weight does not drive it",
+        "true: the roll is carried instead of lying on a floor, so that its weight does not drive "
+        "it",
         preset=False,
     )
 
@@ -339,12 +351,13 @@ class _Links(Section):
 
     preset: Name | None = key(
         "the name of a preset",
-        'arm that the other keys change; "chain" has no numbers, and is one of your own',
+        'arm whose values the other keys change; "chain" has no values and is for an arm of your '
+        "own",
         preset="takeichi_20m",
     )
     links: Annotated[int, Field(ge=1, le=MOST_LINKS)] | None = key(
         f"a whole number from 1 to {MOST_LINKS}",
-        "number of links; joint i precedes link i",
+        "number of links; joint i is at the base of link i",
         preset=20,
     )
 
@@ -354,8 +367,8 @@ class _Surroundings(_Links):
     """Its joints, how it stands, and the air."""
 
     joint_axes: Literal["pitch_yaw"] | list[Literal["pitch", "yaw"] | Vector] | None = key(
-        '"pitch_yaw" or a list of "pitch", "yaw" or [x, y, z], one a joint',
-        "axes of the joints in the straight arm; pitch_yaw alternates, pitch first",
+        '"pitch_yaw" or a list of "pitch", "yaw" or [x, y, z], one for each joint',
+        "axes of the joints in the straight arm; pitch_yaw alternates, starting with pitch",
         preset="pitch_yaw",
     )
 
@@ -383,42 +396,42 @@ class ArmSection(_Surroundings):
         Annotated[Literal["centre", "strip"] | str, _known_law("drag", "centre", "strip")] | None
     ) = key(
         '"centre" or "strip"',
-        "drag at each link's centre (eq. 1), or across the flow along the link",
+        "drag from the velocity of each link's centre (eq. 1), or from the cross flow along it",
         preset="centre",
     )
     strip_points: Annotated[int, Field(ge=1, le=20)] | None = key(
-        "a whole number from 1 to 20", "Gauss points of strip drag", preset=3
+        "a whole number from 1 to 20", "number of Gauss points of the strip drag", preset=3
     )
     drag_curve: Literal["constant", "cylinder"] | None = key(
         '"constant" or "cylinder"',
-        "C_D is constant, or follows the Reynolds number as that of a cylinder does",
+        "C_D is constant, or follows the Reynolds number as for a cylinder",
         preset="constant",
     )
     added_mass: Literal["kirchhoff", "inertia"] | None = key(
         '"kirchhoff" or "inertia"',
-        "added mass with the products of velocities that belong to it, or without, as in engines "
-        "that add it to the mass matrix alone",
+        "added mass with its terms in products of velocities (kirchhoff), or only as a part of "
+        "the mass matrix (inertia)",
         preset="kirchhoff",
     )
     joint_laws: list[Annotated[str, _known_law("joint", "hardening", "end_stops")]] | None = key(
         'a list of "hardening", "end_stops"',
-        "laws of the joints beside springs, dampers and hysteresis",
+        "joint laws in addition to springs, dampers and hysteresis",
         example=["hardening"],
     )
     wind_field: Annotated[str, _known_law("wind")] | None = key(
         "the name of a registered wind",
-        "wind that is a function of place and time, beside that of the run",
+        "wind as a function of position and time, added to the wind of the run",
     )
     buoyancy: bool | None = key(
-        "true or false", "displaced air, helium and trim weights count", preset=False
+        "true or false", "true: displaced air, helium and trim weights are included", preset=False
     )
     trim: bool | None = key(
-        "true or false", "hang the trim weights that make each link float", preset=False
+        "true or false", "true: add the trim weights that make each link float", preset=False
     )
     link_inertia_kg_m2: _SIX | list[_SIX] | None = key(
-        "six numbers (xx, yy, zz, xy, xz, yz) or a list of such rows, one a link",
-        "inertia about the centre of mass of a link that is not round about its axis; wins over "
-        "the transverse and the axial one",
+        "six numbers (xx, yy, zz, xy, xz, yz) or a list of such rows, one for each link",
+        "inertia about the centre of mass of a link that is not axially symmetric; replaces the "
+        "transverse and axial inertias",
         example=[1e-4, 5e-3, 5.1e-3, 1e-4, 0.0, 0.0],
     )
     point_masses: list[PointMass] | None = key(
@@ -428,32 +441,32 @@ class ArmSection(_Surroundings):
     )
     obstacles: list[Obstacle] | None = key(
         "a list of tables with shape, name and centre_m",
-        "what links may touch: boxes, planes, walls with an opening",
+        "obstacles that links may touch: boxes, planes, walls with an opening",
         example=[{"shape": "plane", "name": "ground", "centre_m": [0, 0, -8], "normal": [0, 0, 1]}],
     )
     muscles: Literal["pitch", "all"] | list[Annotated[int, Field(ge=1, le=MOST_LINKS)]] | None = (
         key(
             '"pitch", "all" or a list of numbers of joints',
-            "joints that pairs of muscles drive, in place of their springs",
+            "joints driven by pairs of muscles, which replace their springs",
             example="pitch",
         )
     )
     muscle_law: Literal["braided", "empirical"] | None = key(
-        '"braided" or "empirical"', "law of these muscles, as of [muscle]", preset="braided"
+        '"braided" or "empirical"', "law of these muscles, as in [muscle]", preset="braided"
     )
     muscle_correction: Literal["continuous", "none"] | None = key(
         '"continuous" or "none"',
-        "alpha and beta of joints with muscles, as of [joint]",
+        "alpha and beta of joints with muscles, as in [joint]",
         preset="continuous",
     )
     muscle_blend_deg: Annotated[float, Field(gt=0, le=30, allow_inf_nan=False)] | None = key(
         "a number above 0, and up to 30",
-        "half-width about 0 in which alpha and beta join; a motion would stick at a jump",
+        "half-width about 0 in which alpha and beta are blended; a jump would stop a motion",
         preset=1.0,
     )
     parameters: dict[Name, Finite | list[Finite]] | None = key(
         "a table of parameter paths and numbers",
-        "any other parameter by its path, SI ('giajax parameters' lists them)",
+        "any other parameter by its path, in SI units ('giajax parameters' lists them)",
         example={"air.added_mass_coefficient": 1.0},
     )
 
@@ -467,7 +480,10 @@ class ArmSection(_Surroundings):
         now = {key.earlier: key.name for key in keys if key is not None and key.earlier}
         for before, name in now.items():
             if before in data and name in data:
-                raise ValueError(f"states {name} twice, {before} being its earlier name: remove it")
+                raise ValueError(
+                    f"states {name} twice, because {before} is the former name of this "
+                    f"parameter: remove the former name"
+                )
         return {now.get(name, name): value for name, value in data.items()}
 
     @field_validator("parameters", mode="before")
@@ -481,7 +497,7 @@ class ArmSection(_Surroundings):
         paths = {part.earlier: part.path for part in parts if part.earlier}
         for before, path in paths.items():
             if before in table and path in table:
-                raise ValueError(f"states {path} twice, {before} being its earlier name")
+                raise ValueError(f"states {path} twice, because {before} is its former name")
         return {
             paths.get(name, name) + bracket + index: value
             for path, value in table.items()
@@ -501,7 +517,8 @@ class ArmSection(_Surroundings):
                 if not lower <= number <= upper:
                     unit = f" {declaration.unit}" if declaration.unit else ""
                     raise ValueError(
-                        f"has {shown(path)} = {number:g}{unit}, but it must be from {lower:g} to "
+                        f"has {shown(path)} = {number:g}{unit}, but the value must be from "
+                        f"{lower:g} to "
                         f"{upper:g}{unit}: correct or remove it"
                     )
         return table
@@ -519,7 +536,7 @@ class ArmSection(_Surroundings):
     @classmethod
     def _axes_have_a_direction(cls, axes: Any) -> Any:
         if isinstance(axes, list) and [0.0, 0.0, 0.0] in axes:
-            raise ValueError("has the axis [0, 0, 0], but must have a direction: correct it")
+            raise ValueError("has the axis [0, 0, 0], but the axis must not be zero: correct it")
         return axes
 
     @model_validator(mode="after")
@@ -527,7 +544,7 @@ class ArmSection(_Surroundings):
         about = [name for name in MUSCLE_KEYS if getattr(self, name) is not None]
         if about and self.muscles is None:
             raise ValueError(
-                f"states {about[0]}, but no joints with muscles: add muscles, or remove it"
+                f"states {about[0]}, but no joint has muscles: add muscles, or remove this key"
             )
         return self
 
@@ -562,8 +579,9 @@ class ArmSection(_Surroundings):
         for name, value in self.lists().items():
             if len(value) > MOST_LINKS:
                 raise ValueError(
-                    f"key {name} has {len(value)} values, but an arm may have {MOST_LINKS} links "
-                    "at most: shorten the list"
+                    f"key {name} has {len(value)} values, but an arm may have at most "
+                    f"{MOST_LINKS} links: shorten"
+                    " the list"
                 )
             if links is None:
                 links, count = len(value), f"{name} has {len(value)}"
@@ -594,10 +612,10 @@ class SensorsSection(Section):
     """`[sensors]`: what is known of camera, markers and angle sensors. By default: exact."""
 
     own: dict[Annotated[str, AfterValidator(_known_sensor)], _Numbers] | None = key(
-        "a table of sensors by name, each with its parameters by name and their numbers, SI",
-        "other sensors; those of columns that are there have their defaults, unless stated",
+        "a table of sensors by name, each with its parameters by name and their values in SI units",
+        "additional sensors; sensors of recorded columns have their defaults unless stated",
         example={"gyroscope": {"offset_z": 0.01}},
-        entry="a table of parameters by name and their numbers, SI",
+        entry="a table of parameters by name and their values in SI units",
     )
 
     def values(self) -> dict[str, npt.NDArray[np.float64]]:

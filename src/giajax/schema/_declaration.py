@@ -139,18 +139,18 @@ class Prior:
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.value):
-            raise InputError(f"the prior has the value {self.value}: give a finite number")
+            raise InputError(f"the value of the prior is {self.value}: give a finite number")
         if (self.deviation is None) == (self.factor is None):
             raise InputError(
                 "the prior must have a deviation, or a factor if it is log-normal: give one of them"
             )
         if self.deviation is not None and not 0 < self.deviation < math.inf:
             raise InputError(
-                f"the prior has the deviation {self.deviation:g}: give a positive number"
+                f"the deviation of the prior is {self.deviation:g}: give a positive number"
             )
         if self.factor is not None and not 1 < self.factor < math.inf:
             raise InputError(
-                f"the prior has the factor {self.factor:g}: give a number above 1, such as 1.2 "
+                f"the factor of the prior is {self.factor:g}: give a number above 1, such as 1.2 "
                 "for 20 percent"
             )
         if self.factor is not None and self.value <= 0:
@@ -268,7 +268,7 @@ class Declaration:
     @property
     def meaning(self) -> str:
         """`doc`, and whether there may be several numbers."""
-        several = f" (one number, or one per {self.per})" if self.each and self.per else ""
+        several = f" (one number, or one for each {self.per})" if self.each and self.per else ""
         return self.doc + several
 
     @property
@@ -488,7 +488,10 @@ def _optional(parts: tuple[Declaration, ...]) -> tuple[Any, Any]:
     else:
         kind, must = _number(declaration), _sentence(declaration)
         if declaration.per:
-            kind, must = kind | list[kind], f"{must} or a list of them, one a {declaration.per}"
+            kind, must = (
+                kind | list[kind],
+                f"{must} or a list of them, one for each {declaration.per}",
+            )
     example = default if about.example is None else about.example
     preset = None if declaration.optional else default
     meaning = about.meaning or declaration.doc

@@ -73,8 +73,8 @@ class Expression:
             raise _wrong(text) from None
         if not paths:
             raise InputError(
-                f"the expression {shown(text)} names no parameter: write one that does, or fix the "
-                "value"
+                f"the expression {shown(text)} contains no parameter: include a parameter, or fix "
+                f"the value"
             )
         return cls(text, tuple(paths), tree)
 

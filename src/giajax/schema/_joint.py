@@ -48,14 +48,14 @@ class _Braided(Group):
     braid_angle = guess(
         float(np.deg2rad(18)),
         "rad",
-        "angle of the braid from the axis at rest (18 deg: thin muscles)",
+        "angle between braid and axis at rest (18 deg: thin muscles)",
         upper=float(np.arctan(np.sqrt(2))),
     ).keyed("braid_angle_deg")
     end_correction = freed_guess(
-        1.6, "", "k: how many times the ideal law contracts further than the muscle"
+        1.6, "", "k: contraction of the ideal law relative to that of the muscle"
     )
-    effectiveness = freed_guess(1.0, "", "eta: force relative to the ideal law's")
-    dead_band = freed_guess(10e3, "Pa", "p_0: pressure below which the muscle does not pull")
+    effectiveness = freed_guess(1.0, "", "eta: force relative to that of the ideal law")
+    dead_band = freed_guess(10e3, "Pa", "p_0: pressure below which the muscle exerts no force")
     pressure_limit = _pressure_limit(300e3, "highest pressure (thin muscles: 0.3 MPa)")
 
 
@@ -64,24 +64,28 @@ class _Empirical(Group):
     contraction_limit = freed_guess(
         0.25, "", "contraction without a load at the pressure limit", upper=1
     )
-    bell = freed_guess(1.0, "", "fall of the active part with strain")
-    decay = freed_guess(4.0, "", "rise of the passive part with strain")
-    end_length = Declaration(0.0075, "m", "length that the ends take from F_max", assumed=True)
+    bell = freed_guess(1.0, "", "decrease of the active part of the force with strain")
+    decay = freed_guess(4.0, "", "increase of the passive part of the force with strain")
+    end_length = Declaration(
+        0.0075, "m", "length of the ends, which do not contribute to F_max", assumed=True
+    )
     length_scale = guess(0.05, "m", "length over which F_max saturates")
-    pressure_limit = _pressure_limit(300e3, "highest pressure, at which q = 1")
+    pressure_limit = _pressure_limit(300e3, "maximum pressure, at which q = 1")
 
 
 class _Piston(Group):
     bore = freed_guess(0.025, "m", "diameter of the bore")
     offset = Declaration(
-        0.0, "N", "force without pressure: the zero of the load cell", frozen=False
+        0.0, "N", "force at zero pressure: the offset of the load cell", frozen=False
     )
     pressure_limit = _pressure_limit(1e6, "highest pressure")
 
 
 class _Friction(Group):
     half_width = freed_guess(
-        1.0, "N", "half of the force between filling and exhausting (one number a pressure)"
+        1.0,
+        "N",
+        "half of the force difference between filling and exhausting (one value for each pressure)",
     )
     presliding = freed_guess(2e-4, "m", "displacement over which friction builds up")
 
@@ -100,11 +104,11 @@ _PER_SQUARE_DEGREE = float(np.rad2deg(1.0) ** 2)  # N m/deg^2 in N m/rad^2
 
 def _along(key: str, default: float, doc: str, lower: float) -> Declaration:
     """The coordinate along the link of a point; `_off` is the other one."""
-    return _coordinate(key, default, doc, 0, "along the link", lower)
+    return _coordinate(key, default, doc, 0, "coordinate along the link", lower)
 
 
 def _off(key: str, default: float, doc: str, lower: float) -> Declaration:
-    return _coordinate(key, default, doc, 1, "off the link's axis", lower)
+    return _coordinate(key, default, doc, 1, "distance from the axis of the link", lower)
 
 
 def _coordinate(
@@ -113,7 +117,7 @@ def _coordinate(
     return Declaration(default, "m", f"{doc}: {direction}", lower=lower, assumed=True).keyed(
         key,
         lower=-np.inf,
-        remark=": along the link, and off its axis towards the muscle",
+        remark=": along the link, and away from its axis towards the muscle",
         place=place,
         meaning=doc,
     )
@@ -141,12 +145,12 @@ class _Geometry(Group):
 
 class _Load(Group):
     torque = Declaration(
-        0.3, "N m", "torque on the joint at all times, where a run does not record it"
+        0.3, "N m", "constant torque on the joint, used where a run does not record the torque"
     ).keyed("torque_N_m", lower=0)
 
 
 class _Alpha(Group):
-    offset = Declaration(0.03, "N m", "alpha up to its threshold", frozen=False)
+    offset = Declaration(0.03, "N m", "value of alpha up to its threshold", frozen=False)
     threshold = freed(
         float(np.deg2rad(40)),
         "rad",
@@ -162,23 +166,23 @@ class _Alpha(Group):
 
 
 class _Beta(Group):
-    offset = Declaration(0.01, "N m", "beta in the straight joint", frozen=False)
+    offset = Declaration(0.01, "N m", "value of beta at the straight joint", frozen=False)
     width = freed(
         float(np.deg2rad(2)),
         "rad",
-        "angle at which beta's wedge has gone (2 deg)",
+        "angle at which the wedge of beta reaches zero (2 deg)",
         upper=float(np.pi / 2),
     )
     threshold = freed(
         float(np.deg2rad(20)),
         "rad",
-        "bending angle beyond which beta falls (20 deg)",
+        "bending angle beyond which beta decreases (20 deg)",
         upper=float(np.pi / 2),
     )
     curvature = Declaration(
         0.3 * _PER_SQUARE_DEGREE / 1600,
         "N m/rad^2",
-        "fall of beta with the square of the angle beyond its threshold (0.3/1600 per deg^2)",
+        "decrease of beta with the square of the angle beyond its threshold (0.3/1600 per deg^2)",
         frozen=False,
     )
 
@@ -187,7 +191,7 @@ class _Drive(Group):
     lag = Declaration(
         0.2,
         "s",
-        "time in which the pressure of a muscle follows its command to 63 %",
+        "time constant with which the pressure of a muscle follows its command (63 %)",
         lower=1e-3,
         upper=1e3,
         optional=True,
@@ -197,7 +201,7 @@ class _Drive(Group):
     passive_stiffness = positive(
         0.1,
         "N m/rad",
-        "stiffness of a joint with muscles about its straight pose, beside them",
+        "stiffness of a joint about its straight pose, in addition to that of its muscles",
         upper=1e3,
         optional=True,
     )
@@ -214,7 +218,7 @@ DRIVE = _Drive("drive")
 
 
 class _Play(Group):
-    thresholds = positive(0.0, "input", "half-width of the backlash")
+    thresholds = positive(0.0, "input", "half-width of the backlash of the element")
 
 
 class _Stop(Group):
@@ -222,7 +226,7 @@ class _Stop(Group):
 
 
 class _PrandtlIshlinskii(Group):
-    elastic = freed(1.0, "output/input", "weight of the input itself")
+    elastic = freed(1.0, "output/input", "weight of the input in the output")
     weights = freed(0.1, "output/input", "weights of the plays or stops")
     thresholds = positive(1.0, "input", "thresholds of the plays or stops")
 
@@ -231,7 +235,7 @@ class _DeadZones(Group):
     slope = freed(1.0, "output/input", "slope between the dead zones")
     upper_thresholds = positive(1.0, "input", "dead zones above 0")
     upper_slopes = freed(1.0, "output/input", "slope beyond each dead zone above 0")
-    lower_thresholds = positive(1.0, "input", "dead zones below 0, as distances from it")
+    lower_thresholds = positive(1.0, "input", "dead zones below 0, as distances from 0")
     lower_slopes = freed(1.0, "output/input", "slope beyond each dead zone below 0")
 
 
@@ -241,47 +245,56 @@ class _ModifiedPrandtlIshlinskii(Group):
 
 
 class _Preisach(Group):
-    slope = Declaration(0.5, "output/input", "reversible part of the output", frozen=False)
-    saturation = freed(0.5, "output", "output of all relays up")
+    slope = Declaration(
+        0.5, "output/input", "slope of the reversible part of the output", frozen=False
+    )
+    saturation = freed(0.5, "output", "output with all relays switched up")
     coercivity = freed(0.2, "input", "median half-width of the relays")
     coercivity_spread = Declaration(
-        0.7, "", "spread of the logarithm of it", lower=0.05, upper=5, frozen=False
+        0.7,
+        "",
+        "standard deviation of the logarithm of the half-widths",
+        lower=0.05,
+        upper=5,
+        frozen=False,
     )
-    bias = Declaration(0.0, "input", "mean centre of the relays")
+    bias = Declaration(0.0, "input", "mean of the centres of the relays")
     interaction = freed(0.3, "input", "standard deviation of the centres")
 
 
 class _BoucWen(Group):
-    elastic = freed(0.5, "output/input", "weight of the input itself")
+    elastic = freed(0.5, "output/input", "weight of the input in the output")
     alpha = freed(0.5, "output/input", "slope of the hysteretic part at 0")
-    beta = positive(1.0, "1/input", "scale of gamma and delta; only their products count")
+    beta = positive(1.0, "1/input", "scale of gamma and delta; only the products matter")
     gamma = freed(1.0, "", "width of the loop")
     delta = Declaration(0.1, "", "shape of the loop", frozen=False)
     nu = Declaration(1.0, "", "sharpness of the knee", lower=0.5, upper=20)
 
 
 class _Branches(Group):
-    travel = positive(1.0, "output", "travel from one branch to the other")
+    travel = positive(1.0, "output", "travel between the two branches")
 
 
 class _BoucWenOscillator(Group):
     mass = freed(2.0, "kg", "moving mass")
     damping = freed(10.0, "N s/m", "viscous damping")
-    stiffness = freed(5e4, "N/m", "stiffness beside the hysteretic element")
-    alpha = freed(5e4, "N/m", "stiffness of the hysteretic element at rest")
-    beta = positive(1e3, "1/m", "scale of gamma and delta; only their products count")
+    stiffness = freed(5e4, "N/m", "stiffness parallel to the hysteretic element")
+    alpha = freed(5e4, "N/m", "initial stiffness of the hysteretic element")
+    beta = positive(1e3, "1/m", "scale of gamma and delta; only the products matter")
     gamma = freed(0.8, "", "width of the loop")
     delta = Declaration(-1.1, "", "shape of the loop", frozen=False)
     nu = Declaration(1.0, "", "sharpness of the knee", lower=0.5, upper=20)
 
 
 class _Loop(Group):
-    offset = Declaration(0.0, "output", "added to the output", frozen=False)
+    offset = Declaration(0.0, "output", "offset added to the output", frozen=False)
     drift = left_out(
-        "output", "added to the output at the last sample, and in proportion to time before"
+        "output",
+        "drift added to the output, which grows linearly with time up to this value at "
+        "the last sample",
     )
     previous_extremes = Declaration(
-        0.0, "input", "turning points of the input before the run, the latest last"
+        0.0, "input", "turning points of the input before the run, in order of time"
     )
 
 
@@ -303,11 +316,13 @@ class JointSection(Section):
 
     correction: Literal["continuous", "printed", "none"] | None = key(
         '"continuous", "printed" or "none"',
-        "alpha and beta read with the size of the angle, as printed (an erratum), or zero",
+        "alpha and beta as functions of the absolute angle, as printed (an erratum), or zero",
         preset="continuous",
     )
     blend_deg: Annotated[float, Field(ge=0, le=30, allow_inf_nan=False)] | None = key(
-        "a number from 0 to 30", "half-width about 0 in which alpha and beta join", preset=0.0
+        "a number from 0 to 30",
+        "half-width about 0 in which alpha and beta are blended",
+        preset=0.0,
     )
 
 
@@ -334,7 +349,7 @@ def _check_joint(content: RecordedRun, naming: Naming) -> None:
     if wrong.size:
         row = wrong[0]
         raise InputError(
-            f"{naming.source}: in {naming.at(row)} the muscle is the {side[row]} one at "
+            f"{naming.source}: in {naming.at(row)} the muscle is the {side[row]} at "
             f"{np.rad2deg(angle[row]):.4g} deg, but the angle must be positive where the joint "
             "bends towards the muscle (inner): correct the side or the sign"
         )
@@ -350,10 +365,10 @@ def _check_joint(content: RecordedRun, naming: Naming) -> None:
 def _joint_notes(content: RecordedRun, sidecar: bool) -> list[str]:
     section, notes = content.definition.section(JointSection), []
     if not section.contents():
-        notes.append("no [joint] in the sidecar: the geometry that giajax assumes is taken")
+        notes.append("no [joint] in the sidecar: the default geometry of giajax is used")
     if "torque" not in content.channels:
         torque = float(section.values().get(LOAD.torque.path, LOAD.torque.default))
-        notes.append(f"torque not recorded: {torque:g} N m is taken")
+        notes.append(f"torque not recorded: {torque:g} N m is assumed")
     return notes
 
 
@@ -382,7 +397,7 @@ class _Law(Section):
 
     law: Literal["braided", "empirical", "piston"] | None = key(
         '"braided", "empirical" or "piston"',
-        "statics of a braid, a normalised shape for any length, or a cylinder",
+        "force law: that of a braid, a normalised curve for any length, or that of a cylinder",
         preset="braided",
     )
 
@@ -393,17 +408,18 @@ class MuscleSection(_Law):
 
     pressure: Literal["measured", "mean"] | None = key(
         '"measured" or "mean"',
-        "the pressure at each row, or its mean, which was set where friction moves the gauge",
+        "pressure at each sample, or its mean, if the pressure was held and friction disturbs the "
+        "gauge",
         preset="measured",
     )
     friction: Literal["coulomb", "none"] | None = key(
         '"coulomb" or "none"',
-        "force between filling and exhausting; needs phase or time",
+        "friction between filling and exhausting; requires the phase or the time",
         preset="none",
     )
     friction_pressures_kPa: Annotated[list[NotNegative], Field(min_length=1)] | None = key(  # noqa: N815
         "a list of increasing numbers",
-        "pressures at which friction has its half-widths, linear between them",
+        "pressures at which the half-widths of friction are given, linear in between",
         preset=[0.0],
     )
 
@@ -411,7 +427,9 @@ class MuscleSection(_Law):
     @classmethod
     def _pressures_increase(cls, pressures: Any) -> Any:
         if pressures is not None and any(a >= b for a, b in pairwise(pressures)):
-            raise ValueError(f"is {pressures}, but must increase: sort it, each pressure once")
+            raise ValueError(
+                f"is {pressures}, but must increase: sort the list, and give each pressure once"
+            )
         return pressures
 
 
@@ -426,7 +444,8 @@ def _check_muscle(content: RecordedRun, naming: Naming) -> None:
     if section.law != "piston" and not moves:
         raise InputError(
             f"{naming.source} has neither contraction nor position: a muscle's force depends on "
-            "how far it has shortened, so add a column such as contraction"
+            f"its contraction"
+            ", so add a column such as contraction"
         )
     friction = section.friction or ("coulomb" if section.law == "piston" else "none")
     directed = "phase" in channels or (moves and content.times is not None)
@@ -443,7 +462,7 @@ def _muscle_notes(content: RecordedRun, sidecar: bool) -> list[str]:
         notes.append("law not stated in [muscle]: a braided muscle is assumed")
     without = None if section.law == "piston" else "none"
     if "phase" in content.channels and (section.friction or without) == "none":
-        notes.append("the phase is recorded, but [muscle] states no friction: it is not used")
+        notes.append("the phase is recorded, but not used, because [muscle] states no friction")
     return notes
 
 
@@ -479,34 +498,40 @@ class HysteresisSection(Section):
         Literal["prandtl_ishlinskii", "modified_prandtl_ishlinskii", "preisach", "bouc_wen"] | None
     ) = key(
         "one of prandtl_ishlinskii, modified_prandtl_ishlinskii, preisach and bouc_wen",
-        "the operator",
+        "hysteresis operator",
         preset="prandtl_ishlinskii",
     )
     elements: Literal["play", "stop"] | None = key(
-        '"play" or "stop"', "what a Prandtl-Ishlinskii operator is made of", preset="play"
+        '"play" or "stop"', "elements of a Prandtl-Ishlinskii operator", preset="play"
     )
     thresholds: CountOrPositive | None = key(
         _EITHER,
-        "thresholds of its elements (SI), or how many there are, evenly up to half the input",
+        "thresholds of the elements (SI), or their number, spaced evenly up to half of the input "
+        "range",
         preset=10,
     )
     upper_dead_zones: CountOrPositive | None = key(
-        _EITHER, "dead zones of the modified form above 0 (SI), or how many, densest at 0", preset=5
+        _EITHER,
+        "dead zones of the modified form above 0 (SI), or their number, densest near 0",
+        preset=5,
     )
     lower_dead_zones: CountOrPositive | None = key(
-        _EITHER, "the same below 0, as distances from it", preset=5
+        _EITHER,
+        "dead zones of the modified form below 0 (SI), as distances from 0, or their number",
+        preset=5,
     )
     rows: Annotated[int, Field(ge=2, le=ELEMENTS)] | None = key(
-        f"a whole number from 2 to {ELEMENTS}", "rows of the Preisach mesh", preset=40
+        f"a whole number from 2 to {ELEMENTS}", "number of rows of the Preisach mesh", preset=40
     )
     input_range: Annotated[list[Finite], Field(min_length=2, max_length=2)] | None = key(
         "a list of two numbers, the lower one first",
-        "range of the input (SI) that the operator covers; that of the runs unless stated",
+        "input range (SI) that the operator covers (default: that of the runs)",
         preset=[-1.0, 1.0],
     )
     previous_extremes: Count | Annotated[list[Finite], Field(min_length=1)] | None = key(
         f"{COUNT}, or a list of numbers",
-        "turning points of the input before the run (SI), or how many a fit may find",
+        "turning points of the input before the run (SI), or the number of them that a fit may "
+        "estimate",
         preset=1,
     )
 
@@ -536,7 +561,10 @@ def _hysteresis_drawn_over(content: RecordedRun) -> str | None:
 def _hysteresis_notes(content: RecordedRun, sidecar: bool) -> list[str]:
     if content.definition.section(HysteresisSection).operator is not None:
         return []
-    return ["operator not stated in [hysteresis]: Prandtl-Ishlinskii of ten is assumed"]
+    return [
+        "operator not stated in [hysteresis]: a Prandtl-Ishlinskii operator with ten elements "
+        "is assumed"
+    ]
 
 
 HYSTERESIS = Kind(
@@ -557,7 +585,7 @@ class OscillatorSection(Section):
 
     interpolation: Literal["linear", "band_limited"] | None = key(
         '"linear" or "band_limited" (one period of evenly sampled rows)',
-        "force between two rows",
+        "interpolation of the force between samples",
         preset="linear",
     )
 

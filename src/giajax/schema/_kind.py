@@ -202,7 +202,9 @@ class Kind:
             return self.template(channels)
         return [
             SectionTemplate(
-                name, dict.fromkeys(section.model_fields), "unless stated: what giajax assumes"
+                name,
+                dict.fromkeys(section.model_fields),
+                "defaults apply to keys that are not stated",
             )
             for name, section in self.sections.items()
         ]
@@ -242,32 +244,34 @@ def _check_row(row: ChannelKind, others: Iterable[ChannelKind]) -> None:
     Raises:
         InputError: naming the row.
     """
-    what = f"the channel {row.column}"
+    what = f"the declaration of channel {row.column}"
     if row.quantity not in {None, *QUANTITIES}:
         raise InputError(
             f"{what} has the unknown quantity {row.quantity!r}: use {one_of(QUANTITIES)}"
         )
     if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", row.column) or row.column.count("NN") > 1:
         raise InputError(
-            f"{what} is not a valid name: use letters, digits and _, and NN once at most"
+            f"{what} is not a valid name: use letters, digits and _, and NN at most once"
         )
     if "time" in (row.name, row.column):
-        raise InputError(f"{what} of the row '{row.name}' is not time, which all have: rename it")
+        raise InputError(
+            f"{what} of the row '{row.name}' must not be time, which every model has: rename it"
+        )
     if row.part not in (parts := get_args(Part)):
         raise InputError(f"{what} has no part {row.part!r} in a model: use {one_of(parts)}")
     if row.quantity == "text" and not row.texts:
-        raise InputError(f"{what} is a text of no values: state them as texts")
+        raise InputError(f"{what} is a text channel without values: state them as strings")
     units = QUANTITIES[row.quantity].suffixes if row.quantity else ()
     keys = [each for each in NOISE_KEYS if not units or each.partition("_")[2] in units]
     if row.noise not in (None, *keys):
-        either = f"use {one_of(keys)}, or leave it out" if keys else "leave it out"
-        raise InputError(f"{what} has no noise of the key {row.noise!r}: {either}")
+        either = f"use {one_of(keys)}, or omit it" if keys else "omit it"
+        raise InputError(f"{what} refers to the unknown noise key {row.noise!r}: {either}")
     ours = row.name, row.column, row.quantity, row.texts
     for other in others:
         theirs = other.name, other.column, other.quantity, other.texts
         if ours != theirs and (row.name == other.name or row.column == other.column):
             raise InputError(
-                f"there is a channel {other.column} already, the {other.quantity} '{other.name}': "
+                f"there already is a channel {other.column}, the {other.quantity} '{other.name}': "
                 f"declare {row.column}, the {row.quantity} '{row.name}', as that, or name it "
                 "otherwise"
             )

@@ -24,14 +24,15 @@ _JOINTS = Annotated[list[Count], Field(min_length=1, max_length=ELEMENTS)]
 class ApproachSection(Section):
     """`[mission.operator.approach]`: commanded angles from which the opening is in view."""
 
-    joints: _JOINTS = key("a list of numbers of joints", "which joints bend", default=...)
-    angles_deg: list[Finite] = key("a list of numbers", "to which angles", default=...)
+    joints: _JOINTS = key("a list of numbers of joints", "joints that bend", default=...)
+    angles_deg: list[Finite] = key("a list of numbers", "angles to which they bend", default=...)
 
     @model_validator(mode="after")
     def _as_many(self) -> "ApproachSection":
         if len(self.angles_deg) != len(self.joints):
             raise ValueError(
-                f"has {len(self.angles_deg)} angles for {len(self.joints)} joints: give as many"
+                f"has {len(self.angles_deg)} angles for {len(self.joints)} joints: give one angle "
+                f"for each joint"
             )
         return self
 
@@ -39,79 +40,93 @@ class ApproachSection(Section):
 class OperatorSection(Section):
     """`[mission.operator]`: who drives the arm through the opening."""
 
-    approach: ApproachSection = key("a table of keys", "where joints go first", default=...)
-    approach_rate_deg_per_s: Positive = key(
-        POSITIVE, "of the joint that turns the most on the way there", default=1.0
+    approach: ApproachSection = key(
+        "a table of keys", "pose that the joints take first", default=...
     )
-    latency_s: NotNegative = key(NOT_NEGATIVE, "of picture and hand", default=0.4)
-    speed_m_per_s: Positive = key(POSITIVE, "of the tip at most", default=0.2)
-    largest_rate_deg_per_s: Positive = key(POSITIVE, "no joint is commanded faster", default=2.0)
-    largest_angle_deg: Positive = key(POSITIVE, "no joint is commanded further", default=60.0)
+    approach_rate_deg_per_s: Positive = key(
+        POSITIVE, "rate, on the way to the approach, of the joint that turns the most", default=1.0
+    )
+    latency_s: NotNegative = key(NOT_NEGATIVE, "total delay of image and hand", default=0.4)
+    speed_m_per_s: Positive = key(POSITIVE, "maximum speed of the tip", default=0.2)
+    largest_rate_deg_per_s: Positive = key(POSITIVE, "maximum commanded joint rate", default=2.0)
+    largest_angle_deg: Positive = key(POSITIVE, "maximum commanded joint angle", default=60.0)
     stand_off_m: Positive = key(
-        POSITIVE, "how far before the opening the tip goes to its axis", default=2.0
+        POSITIVE,
+        "distance in front of the opening at which the tip moves to the axis of the opening",
+        default=2.0,
     )
     patience_s: Positive = key(
         POSITIVE,
-        "without a picture of the opening, until joints go back to the approach",
+        "time without the opening in view after which the joints return to the approach",
         default=20.0,
     )
-    pixel_px: Positive = key(POSITIVE, "standard deviation of where it sees a corner", default=1.0)
+    pixel_px: Positive = key(
+        POSITIVE, "standard deviation of the observed position of a corner", default=1.0
+    )
 
 
 class SteeringSection(Section):
     """`[mission.steering]`: the predictive controller, with the limits of `[mission.operator]`."""
 
-    speed_m_per_s: Positive = key(POSITIVE, "of the tip towards the opening", default=0.4)
+    speed_m_per_s: Positive = key(POSITIVE, "speed of the tip towards the opening", default=0.4)
     stand_off_m: Positive = key(
-        POSITIVE, "how far before the opening the tip goes to its axis", default=2.5
+        POSITIVE,
+        "distance in front of the opening at which the tip moves to the axis of the opening",
+        default=2.5,
     )
     air_m_per_s: Positive = key(
-        POSITIVE, "root mean square of the air that it expects", default=0.2
+        POSITIVE, "root mean square of the air velocity that the controller assumes", default=0.2
     )
 
 
 class MissionWindSection(Section):
     """`[mission.wind]`: the air, which the operator does not know."""
 
-    speed_m_per_s: NotNegative = key(NOT_NEGATIVE, "root mean square of its velocity", default=0.2)
+    speed_m_per_s: NotNegative = key(
+        NOT_NEGATIVE, "root mean square of the air velocity", default=0.2
+    )
     mean: _Share = key(
         "a number above 0 and up to 1",
-        "the mean flow, level and in any direction, over that speed",
+        "ratio of the mean flow (horizontal, in a random direction) to speed_m_per_s",
         default=0.3,
     )
-    length_scale_m: Positive = key(POSITIVE, "of the gusts", default=2.0)
+    length_scale_m: Positive = key(POSITIVE, "length scale of the gusts", default=2.0)
 
 
 class MissionSection(Section):
     """`[mission]`: what is to be reached, in what time, by whom."""
 
-    opening: Name | None = key("the name of a wall", "whose opening the tip goes through")
-    camera: Name | None = key("the name of a camera", "at the tip, by which the operator sees")
+    opening: Name | None = key(
+        "the name of a wall", "wall with the opening that the tip passes through"
+    )
+    camera: Name | None = key("the name of a camera", "camera at the tip that the operator uses")
     beyond_m: Positive = key(
-        POSITIVE, "how far behind the outer face the tip is inside", default=0.5
+        POSITIVE, "distance behind the outer face from which the tip counts as inside", default=0.5
     )
-    hold_s: NotNegative = key(NOT_NEGATIVE, "for how long it must be inside", default=3.0)
+    hold_s: NotNegative = key(NOT_NEGATIVE, "time for which the tip must stay inside", default=3.0)
     limit_s: Annotated[float, Field(gt=0, le=36_000, allow_inf_nan=False)] = key(
-        "a positive number of up to 36000", "time after which it is over", default=720.0
+        "a positive number of up to 36000", "time limit of the mission", default=720.0
     )
-    operator: OperatorSection = key("a table of keys", "who drives", default=...)
+    operator: OperatorSection = key("a table of keys", "operator who drives the arm", default=...)
     steering: SteeringSection = key(
-        "a table of keys", "of `--controller mpc`", default=SteeringSection()
+        "a table of keys", "settings of `--controller mpc`", default=SteeringSection()
     )
     camera_stops_s: NotNegative | None = key(
-        NOT_NEGATIVE, "time from which on there is no picture any more"
+        NOT_NEGATIVE, "time after which the camera gives no images"
     )
-    wind: MissionWindSection = key("a table of keys", "the air", default=MissionWindSection())
+    wind: MissionWindSection = key(
+        "a table of keys", "motion of the air", default=MissionWindSection()
+    )
     spread: dict[str, NotNegative] | None = key(
         "a table of numbers by parameter",
-        "standard deviations of the logarithm of parameters, from case to case",
+        "standard deviations of the logarithm of parameters between cases",
     )
 
     @field_validator("spread", mode="before")
     @classmethod
     def _no_tables(cls, spread: object) -> object:
         if isinstance(spread, dict) and any(isinstance(each, dict) for each in spread.values()):
-            raise ValueError("has a table in it: quote the paths of parameters")
+            raise ValueError("contains a table: put the paths of parameters in quotes")
         return spread
 
 
@@ -126,13 +141,13 @@ class PadAxis(Section):
 
     axis: _Index = key(
         "a whole number from 0 on",
-        "number of the axis; of a standard pad 0 and 1 are the left stick (right, down), 2 and 3 "
-        "the right one",
+        "number of the axis; on a standard pad 0 and 1 are the left stick (right, down), 2 and 3 "
+        "the right stick",
         default=...,
     )
-    joints: _Joints = key("a list of numbers of joints", "the joints that it turns", default=...)
+    joints: _Joints = key("a list of numbers of joints", "joints that the axis moves", default=...)
     rate_deg_per_s: Finite = key(
-        "a finite number", "rate of each of them at full deflection; negative: the other way",
+        "a finite number", "rate of each joint at full deflection; negative: reversed",
         default=...,
     )  # fmt: skip
 
@@ -141,45 +156,57 @@ class PadButton(Section):
     """An entry of `[[pad.buttons]]`: a button, and what it does."""
 
     button: _Index = key("a whole number from 0 on", "number of the button", default=...)
-    preset: Name | None = key("the name of a preset", "go there")
-    stop: bool | None = key("true or false", "stop, and hold where the command is")
-    dead_man: bool | None = key("true or false", "nothing moves unless it is held")
+    preset: Name | None = key("the name of a preset", "move to this preset")
+    stop: bool | None = key("true or false", "true: stop all joints and hold the current command")
+    dead_man: bool | None = key(
+        "true or false", "true: joints move only while this button is pressed"
+    )
 
 
 class Preset(Section):
     """An entry of `[[pad.presets]]`: angles of some joints."""
 
-    name: Name = key("a name", "what the page calls it", default=...)
-    joints: _Joints = key("a list of numbers of joints", "which joints go there", default=...)
-    angles_deg: list[Finite] = key("a list of numbers", "to which angles", default=...)
-    others_deg: Finite | None = key("a finite number", "where all others go; they stay otherwise")
+    name: Name = key("a name", "name of the preset on the page", default=...)
+    joints: _Joints = key(
+        "a list of numbers of joints", "joints that the preset moves", default=...
+    )
+    angles_deg: list[Finite] = key(
+        "a list of numbers", "angles that these joints take", default=...
+    )
+    others_deg: Finite | None = key(
+        "a finite number", "angle that all other joints take (default: they stay)"
+    )
 
 
 class PadSection(Section):
     """`[pad]`: what a game pad does."""
 
     dead_zone: Annotated[float, Field(ge=0, lt=1)] = key(
-        "a number from 0 to below 1", "deflection below which a stick is at rest", default=0.12
+        "a number from 0 to below 1", "deflection below which the stick has no effect", default=0.12
     )
     exponent: Positive = key(
         POSITIVE,
-        "1: rates are in proportion to the deflection; 2: finer near the middle",
+        "exponent of rate over deflection; 1: proportional; 2: finer near the centre",
         default=2.0,
     )
     largest_rate_deg_per_s: Positive = key(
-        POSITIVE, "no joint is commanded faster, by pad, slider or preset", default=5.0
+        POSITIVE, "maximum commanded joint rate, by pad, slider or preset", default=5.0
     )
-    largest_angle_deg: Positive = key(POSITIVE, "no joint is commanded further", default=60.0)
+    largest_angle_deg: Positive = key(POSITIVE, "maximum commanded joint angle", default=60.0)
     timeout_s: Positive = key(
-        POSITIVE, "without a word from the page for so long everything stops", default=0.5
+        POSITIVE, "time without a message from the page after which all joints stop", default=0.5
     )
-    smoothing_s: NotNegative = key(NOT_NEGATIVE, "in which a rate follows the stick", default=0.1)
-    axes: list[PadAxis] | None = key("a list of tables", "the sticks")
-    buttons: list[PadButton] | None = key("a list of tables", "the buttons")
-    presets: list[Preset] | None = key("a list of tables", "the presets")
+    smoothing_s: NotNegative = key(
+        NOT_NEGATIVE, "time constant with which a rate follows the stick", default=0.1
+    )
+    axes: list[PadAxis] | None = key(
+        "a list of tables", "axes of the sticks and the joints that they move"
+    )
+    buttons: list[PadButton] | None = key("a list of tables", "buttons and their actions")
+    presets: list[Preset] | None = key("a list of tables", "presets of joint angles")
 
 
 class PadFile(Section):
     """A file that says what a game pad does."""
 
-    pad: PadSection = key("a table of keys", "what a game pad does", default=...)
+    pad: PadSection = key("a table of keys", "assignment of the game pad", default=...)

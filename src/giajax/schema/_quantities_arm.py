@@ -23,10 +23,10 @@ _TRANSVERSE = _AXIAL / 2 + _MASS * _LENGTH**2 / 12
 
 class _Links(Group):
     length = positive(
-        _LENGTH, "m", "length of a link, joint to joint", per="link", source=_TABLE
+        _LENGTH, "m", "length of a link from joint to joint", per="link", source=_TABLE
     ).keyed("link_length_m")
     diameter = positive(
-        _DIAMETER, "m", "diameter of a link, as the air sees it", per="link", source=_TABLE
+        _DIAMETER, "m", "aerodynamic diameter of a link", per="link", source=_TABLE
     ).keyed("link_diameter_m", closed=True)
     mass = positive(
         _MASS, "kg", "mass of a link that moves with it", per="link", source=_TABLE
@@ -49,7 +49,7 @@ class _Links(Group):
     fullness = guess(
         1.0,
         "",
-        "displaced volume of a link over that of the cylinder of its length and diameter",
+        "displaced volume of a link relative to a cylinder of its length and diameter",
         per="link",
     )
     pressure = guess(
@@ -65,7 +65,7 @@ class _Base(Group):
     base_rotation = Declaration(
         0.0,
         "rad",
-        "turn of the straight arm against the base frame, as a rotation vector",
+        "rotation of the straight arm relative to the base frame, as a rotation vector",
         shape=(3,),
     ).keyed("base_rotation_deg")
     # What is fitted where buoyancy balances weight may end a little below zero, and is read again.
@@ -118,13 +118,14 @@ class _Air(Group):
     added_mass_coefficient = positive(
         1.0,
         "",
-        "added mass across a link over the air that it displaces (1 for a long cylinder)",
+        "transverse added mass of a link relative to the displaced mass of air (1 for a long "
+        "cylinder)",
         upper=10,
         optional=True,
     )
     wind = left_out(
         "m/s",
-        "constant velocity of the air in the base frame, beside the wind of the run",
+        "constant velocity of the air in the base frame, added to the wind of the run",
         shape=(3,),
     )
     viscosity = positive(1.516e-5, "m^2/s", "kinematic viscosity of the air (20 C, 1 atm)")
@@ -132,7 +133,7 @@ class _Air(Group):
 
 class _Buoyancy(Group):
     helium_density = positive(0.1664, "kg/m^3", "density of the helium (20 C, 1 atm)")
-    trim_mass = positive(0.0, "kg", "trim weight of a link", **EACH_LINK)
+    trim_mass = positive(0.0, "kg", "mass of the trim weight of a link", **EACH_LINK)
     trim_position = Declaration(
         LINKS.length.default / 2,
         "m",
@@ -147,11 +148,9 @@ class _Buoyancy(Group):
         optional=True,
         **EACH_LINK,
     )
-    imbalance = left_out(
-        "N", "lift that is left over on a link, negative where it is weight", **EACH_LINK
-    )
+    imbalance = left_out("N", "excess lift of a link; negative for excess weight", **EACH_LINK)
     imbalance_drift = left_out(
-        "N/s", "by how much the lift of a link grows in a second from the first row on", **EACH_LINK
+        "N/s", "rate of change of the excess lift of a link from the first sample on", **EACH_LINK
     )
 
 
@@ -175,12 +174,12 @@ class _Joints(Group):
         essential=True,
     )
     damping = freed_guess(
-        0.05, "N m s/rad", "viscous damping of a joint's own rate", upper=1e2, **EACH_JOINT
+        0.05, "N m s/rad", "viscous damping acting on the rate of a joint", upper=1e2, **EACH_JOINT
     )
     drive_gain = positive(
         1.0,
         "",
-        "angle that a joint's drive pulls towards over what is commanded",
+        "offset of the angle that a joint's drive holds from the commanded angle",
         upper=10,
         optional=True,
         neutral=1.0,
@@ -189,7 +188,7 @@ class _Joints(Group):
     stiffness_factor = positive(
         1.0,
         "",
-        "stiffness of a joint over that of its kind",
+        "stiffness of a joint relative to that of its kind (pitch or yaw)",
         upper=100,
         optional=True,
         neutral=1.0,
@@ -197,7 +196,7 @@ class _Joints(Group):
     )
     stiffness_drift = left_out(
         "1/s",
-        "by how much the stiffness of the joints grows in a second, over that of the first row",
+        "relative rate of change of the joint stiffness from the first sample on",
         lower=-1.0,
         upper=1.0,
     )
@@ -205,7 +204,7 @@ class _Joints(Group):
         0.1, "N m", "Coulomb friction of a joint", upper=1e3, optional=True, **EACH_JOINT
     )
     friction_rate = guess(
-        0.05, "rad/s", "rate at which Coulomb friction has reached tanh(1) = 76 % of its value"
+        0.05, "rad/s", "rate at which Coulomb friction reaches tanh(1) = 76 % of its value"
     )
     armature = positive(
         1e-3,
@@ -217,7 +216,7 @@ class _Joints(Group):
     drive_lag = positive(
         0.1,
         "s",
-        "lag of first order with which a joint's drive follows its command",
+        "first-order time constant with which a joint's drive follows its command",
         upper=10,
         optional=True,
         **EACH_JOINT,
@@ -225,7 +224,7 @@ class _Joints(Group):
     drive_saturation = positive(
         0.1,
         "1/rad^2",
-        "how drives saturate: for an angle u they reach u / sqrt(1 + saturation u^2)",
+        "how drives saturate: for a commanded angle u they reach u / sqrt(1 + saturation u^2)",
         upper=100,
         optional=True,
         **EACH_JOINT,
@@ -245,7 +244,7 @@ class _Memory(Group):
     yield_angle = Declaration(
         0.005,
         "rad",
-        "strength of a joint's hysteresis over its stiffness at the beginning of a motion",
+        "strength of a joint's hysteresis divided by its initial stiffness",
         lower=1e-6,
         upper=10,
         assumed=True,
@@ -261,7 +260,7 @@ class _Memory(Group):
     )
     initial = left_out(
         "",
-        "torque of a joint's hysteresis at the first row, against its angle, over its strength",
+        "initial torque of a joint's hysteresis, opposite to its angle, relative to its strength",
         lower=-1,
         upper=1,
         **EACH_JOINT,
@@ -272,7 +271,7 @@ class _Stops(Group):
     strength = positive(
         0.1,
         "N m",
-        "torque at which each of a joint's elastic springs in parallel slides (Iwan)",
+        "yield torque of each of the parallel elastic elements of a joint (Iwan)",
         per="stop",
         each=True,
         any_number=True,
@@ -283,7 +282,7 @@ class _Stops(Group):
     yield_angle = Declaration(
         0.02,
         "rad",
-        "strain at which each of a joint's elastic springs in parallel slides",
+        "yield angle of each of the parallel elastic elements of a joint",
         per="stop",
         each=True,
         any_number=True,
@@ -316,12 +315,13 @@ class _Contact(Group):
     shape_factor = positive(
         np.pi,
         "",
-        "force of a flattened link over pressure, length and penetration: pi between two "
-        "plates, 4 pi / 3 at one wall against the weight of the skin",
+        "contact force of a flattened link divided by pressure, length and penetration: pi "
+        "between two "
+        "plates, 4 pi / 3 on one wall with only the weight of the skin as reaction",
     ).keyed("contact_shape_factor")
-    damping = guess(
-        0.5, "s/m", "by how much a contact presses harder while it closes, over the closing speed"
-    ).keyed("contact_damping_s_per_m", closed=True)
+    damping = guess(0.5, "s/m", "relative increase of the contact force per closing speed").keyed(
+        "contact_damping_s_per_m", closed=True
+    )
     friction = guess(
         0.3,
         "",
@@ -330,7 +330,7 @@ class _Contact(Group):
         has_states=True,
     ).keyed("contact_friction")
     friction_stiffness = guess(
-        300.0, "N/m", "stiffness of a link's skin along a surface that it sticks to"
+        300.0, "N/m", "stiffness of a link's skin along a surface to which it sticks"
     ).keyed("contact_friction_stiffness_N_per_m")
 
 
@@ -352,31 +352,33 @@ def delay(key: str, doc: str) -> Declaration:
 
 def clock_rate(key: str) -> Declaration:
     """Of a clock that is slow, or fast, by so much."""
-    doc = "by how much more time passes from the first sample on than the time stamps show"
+    doc = "relative excess of the true time since the first sample over the time stamps"
     return left_out("", doc, lower=-0.05, upper=0.05).keyed(key, closed=True, example=0.001)
 
 
 class _Camera(Group):
     rotation = left_out(
-        "rad", "turn of the camera frame against the base frame, as a rotation vector", shape=(3,)
+        "rad",
+        "rotation of the camera frame relative to the base frame, as a rotation vector",
+        shape=(3,),
     ).keyed("camera_rotation_deg", example=[0.0, 5.0, 0.0])
     origin = left_out("m", "origin of the camera frame in the base frame", shape=(3,)).keyed(
         "camera_origin_m", example=[0.0, 0.1, 0.0]
     )
-    scale = positive(1.0, "", "recorded over true distances", optional=True, neutral=1.0).keyed(
-        "camera_scale"
-    )
-    delay = delay("camera_delay_s", "how long before its time stamp a position or picture was true")
+    scale = positive(
+        1.0, "", "ratio of recorded to true distances", optional=True, neutral=1.0
+    ).keyed("camera_scale")
+    delay = delay("camera_delay_s", "delay of a position or image, by which its time stamp is late")
     clock_rate = clock_rate("camera_clock_rate")
     lens_k1 = left_out(
         "",
-        "by which share a lens shows farther from the middle of the straight arm what is half of "
-        "its length away, growing with the square of that distance",
+        "relative radial distortion at half of the arm's length from the middle of the straight "
+        "arm, proportional to the square of that distance",
         lower=-1,
         upper=1,
     ).keyed("camera_lens_k1", closed=True, example=-0.05)
     lens_k2 = left_out(
-        "", "as k1, growing with the fourth power of that distance", lower=-1, upper=1
+        "", "as k1, but proportional to the fourth power of that distance", lower=-1, upper=1
     ).keyed("camera_lens_k2", closed=True, example=0.01)
 
 
@@ -397,20 +399,20 @@ class _Marker(Group):
 
 class _Encoder(Group):
     offset = left_out(
-        "rad", "what a joint's angle sensor shows at the angle 0", **EACH_JOINT
+        "rad", "reading of a joint's angle sensor at the angle 0", **EACH_JOINT
     ).keyed("encoder_offset_deg")
     scale = positive(
         1.0,
         "",
-        "shown over true changes of a joint's angle",
+        "ratio of measured to true changes of a joint's angle",
         optional=True,
         neutral=1.0,
         **EACH_JOINT,
     ).keyed("encoder_scale")
-    delay = delay("encoder_delay_s", "how long before its time stamp a joint's angle was true")
+    delay = delay("encoder_delay_s", "delay of a joint's angle, by which its time stamp is late")
     clock_rate = clock_rate("encoder_clock_rate")
     rate_offset = left_out(
-        "rad/s", "what a joint's rate sensor, such as a gyroscope, shows at rest", **EACH_JOINT
+        "rad/s", "reading of a joint's rate sensor, such as a gyroscope, at rest", **EACH_JOINT
     ).keyed("encoder_rate_offset_deg_per_s")
 
 
@@ -423,23 +425,27 @@ class _Pinhole(Group):
     position = Declaration(
         0.0,
         "m",
-        "centre of the camera's lens: in the base frame; of a camera on a link along, left "
-        "and up from its mount",
+        "centre of the camera's lens in the base frame; for a camera on a link: along, left and "
+        "up from its mount",
         shape=(3,),
     ).keyed("position_m", example=[10.0, -15.0, 1.0])
     rotation = Declaration(
         0.0,
         "rad",
-        "turn of the camera, as a rotation vector; at 0 it looks along x, u to the right",
+        "rotation of the camera, as a rotation vector; at 0 it looks along x, with u to the right",
         shape=(3,),
     ).keyed("rotation_deg", example=[0.0, 0.0, 90.0])
     focal_length = positive(
-        1000.0, "px", "focal length over the width of a pixel", upper=1e6, source="OpenCV's f_x"
+        1000.0,
+        "px",
+        "focal length divided by the width of a pixel",
+        upper=1e6,
+        source="OpenCV's f_x",
     ).keyed("focal_length_px")
     aspect = positive(
         1.0,
         "",
-        "width over height of a pixel",
+        "ratio of width to height of a pixel",
         upper=1e3,
         optional=True,
         neutral=1.0,
@@ -448,25 +454,25 @@ class _Pinhole(Group):
     centre = Declaration(
         0.0,
         "px",
-        "where the optical axis meets the picture: u, v; its middle by default",
+        "image point (u, v) on the optical axis (default: the middle of the image)",
         shape=(2,),
         source="OpenCV's c_x and c_y",
     ).keyed("centre_px", example=[959.5, 539.5])
     distortion = left_out(
         "",
-        "distortion of the lens: k1, k2, p1, p2, k3",
+        "distortion coefficients of the lens: k1, k2, p1, p2, k3",
         shape=(5,),
         source="OpenCV's five-parameter model (Brown-Conrady)",
     ).keyed("distortion", example=[-0.2, 0.05, 0.0, 0.0, 0.0])
     delay = delay(
         "delay_s",
-        "how long before its time stamp a picture was true, added to the delay of all cameras",
+        "delay of an image of this camera, added to the delay of all cameras",
     )
 
 
 class _Landmark(Group):
     position = Declaration(
-        0.0, "m", "where a landmark of the room is, in the base frame", shape=(3,)
+        0.0, "m", "position of a landmark of the room in the base frame", shape=(3,)
     ).keyed("position_m", example=[6.0, 0.5, 1.2])
 
 
@@ -487,7 +493,7 @@ class _Gas(Group):
         "gas_viscosity_Pa_s"
     )
     heat_capacity_ratio = Declaration(
-        5 / 3, "", "ratio of the gas's heat capacities (5/3 of one atom)", lower=1, upper=2
+        5 / 3, "", "ratio of the gas's heat capacities (5/3 for a monatomic gas)", lower=1, upper=2
     ).keyed("gas_heat_capacity_ratio")
 
 
@@ -499,7 +505,7 @@ class _Skin(Group):
         0.45, "", "Poisson's ratio of the skin", lower=-1, upper=0.5, assumed=True
     ).keyed("skin_poisson_ratio")
     slack = guess(
-        1e-3, "", "share of its volume over which a bag passes from limp to tight", upper=0.1
+        1e-3, "", "fraction of its volume over which a bag changes from limp to taut", upper=0.1
     ).keyed("skin_slack")
 
 
@@ -507,8 +513,10 @@ class _Neck(Group):
     radius = Declaration(
         0.05, "m", "radius of the neck in a joint", lower=0, optional=True, assumed=True
     )
-    length = guess(0.02, "m", "length of film that bends in the neck")
-    film_stiffness = guess(_Skin.stiffness.default, "N/m", "modulus times thickness of its film")
+    length = guess(0.02, "m", "length of the film that bends in the neck")
+    film_stiffness = guess(
+        _Skin.stiffness.default, "N/m", "modulus times thickness of the film of the neck"
+    )
     # That of links, which gas passes to.
     pressure = guess(_Links.pressure.default, "Pa", "gauge pressure of the gas in the neck")
 
@@ -529,7 +537,7 @@ class _Supply(Group):
     flow = positive(
         61e-3 / 60,
         "m^3/s",
-        "flow of a flow meter, as volume at ambient pressure",
+        "flow through a flow meter, as volume at ambient pressure",
         source="IV.B: 1.40 m^3 in 23 min",
     ).keyed("supply_flow_l_per_min")
     pressure = guess(2e5, "Pa", "pressure that a regulator holds, above that of the room").keyed(
@@ -549,12 +557,14 @@ class _Supply(Group):
 
 
 class _Roll(Group):
-    radius = guess(0.1, "m", "radius of the roll with the whole arm on it").keyed("roll_radius_mm")
+    radius = guess(0.1, "m", "radius of the roll with the whole arm wound on it").keyed(
+        "roll_radius_mm"
+    )
     core_radius = guess(0.05, "m", "radius of the core that the arm is wound on").keyed(
         "core_radius_mm"
     )
     core_mass = guess(0.1, "kg", "mass of the core, a thin tube").keyed("core_mass_kg")
-    start = guess(0.1, "m", "length that is paid out at the beginning").keyed("start_length_m")
+    start = guess(0.1, "m", "unrolled length at the beginning").keyed("start_length_m")
     start_speed = positive(0.0, "m/s", "speed of the roll at the beginning", assumed=True).keyed(
         "start_speed_m_per_s", closed=True
     )
@@ -565,22 +575,22 @@ class _Film(Group):
     creep = Declaration(
         1.0,
         "",
-        "share of its curvature in the roll that the film keeps as its own: 0 is elastic film, "
-        "which drives the roll, 1 is film that has crept, which must be bent straight",
+        "fraction of its curvature in the roll that the film keeps: 0 for elastic film, which "
+        "drives the roll; 1 for film that has crept, which must be straightened",
         lower=0,
         upper=1,
         assumed=True,
     ).keyed("film_creep", closed=True)
-    peel = guess(0.3, "N", "force at which the layers of the roll come apart").keyed(
+    peel = guess(0.3, "N", "force that separates the layers of the roll").keyed(
         "peel_force_N", closed=True
     )
-    loss = guess(10.0, "N s/m", "force that holds the roll back, over its speed").keyed(
+    loss = guess(10.0, "N s/m", "force that opposes the roll, divided by its speed").keyed(
         "front_loss_N_s_per_m", closed=True
     )
 
 
 class _Hand(Group):
-    speed = guess(0.1, "m/s", "speed at which a hand rolls the arm out").keyed("hand_speed_m_per_s")
+    speed = guess(0.1, "m/s", "speed at which a hand unrolls the arm").keyed("hand_speed_m_per_s")
     force = guess(1.0, "N", "force with which a hand pushes the roll").keyed(
         "hand_force_N", closed=True
     )

@@ -54,10 +54,11 @@ def collapse(pressure: npt.ArrayLike, diameter: npt.ArrayLike, pull: float) -> s
     if not weak.size:
         return None
     alone = borne.size == 1
-    these = "each link bears" if alone else f"{weak.size} of {borne.size} links bear"
+    these = "each link withstands" if alone else f"{weak.size} of {borne.size} links withstand"
     return (
         f"{these} less than the {pull:.1f} N pull of one muscle at its pressure limit, and would "
-        f"collapse: p pi r^2 {'' if alone else f'of link {least + 1} '}is "
+        f"collapse:"
+        f" p pi r^2 {'' if alone else f'of link {least + 1} '}is "
         f"{borne[least]:.1f} N, at {pressures[least]:.1f} Pa"
     )
 
@@ -77,9 +78,9 @@ def crushed(compression: float, held: float, *, joint: int | None = None) -> str
     """
     if compression < held:
         return None
-    which = "the straight joint" if joint is None else f"joint {joint}, straight,"
+    which = "the straight joint" if joint is None else f"joint {joint} in its straight pose"
     least = "" if joint is None else "at least "
     return (
-        f"the muscles press {which} together by {least}{compression:.3g} N, and the gas in its "
-        f"neck holds {held:.3g} N"
+        f"the muscles press {which} together by {least}{compression:.3g} N, and the gas in the neck"
+        f" withstands {held:.3g} N"
     )

@@ -331,8 +331,8 @@ def find(model: eqx.Module, path: str) -> Parameter:
         off = left_out(model)
         if name in off:
             raise InputError(
-                f"'{name}' is left out of this model: give it a value to switch it on "
-                f"(such as {off[name].declaration.default:g})"
+                f"'{name}' is not part of this model: give it a value to include it (such as"
+                f" {off[name].declaration.default:g})"
             )
         raise InputError(f"there is no parameter '{path}': {_suggestion(name, [*known, *off])}")
     parameter = known[name]
@@ -341,7 +341,7 @@ def find(model: eqx.Module, path: str) -> Parameter:
     index = int(match["index"])
     shape = parameter.value(model).shape
     if len(shape) != 1:
-        raise InputError(f"'{name}' is a single number: leave out the index in '{path}'")
+        raise InputError(f"'{name}' is a single number: omit the index in '{path}'")
     if index >= shape[0]:
         raise InputError(
             f"'{path}' is beyond the {shape[0]} elements of '{name}': "
@@ -437,7 +437,8 @@ def as_in(model: Module, other: Module, names: Iterable[str]) -> Module:
     if unknown:
         groups = sorted({path.partition(".")[0] for path in {**_by_path(model), **_by_path(other)}})
         raise InputError(
-            f"the model has nothing called '{min(unknown)}': give {', '.join(groups)}, or a path "
+            f"the model has no parameter or group called '{min(unknown)}': give "
+            f"{', '.join(groups)}, or a path "
             "that giajax parameters lists"
         )
     return found
@@ -460,8 +461,9 @@ def check_count(model: Module, path: str, value: Any) -> None:
     size, count = np.size(value), len(elements(model, path))
     if size not in (1, count) and not find(model, path).any_number:
         raise InputError(
-            f"{path} is set to {size} values and has {count} element{'s' * (count != 1)}: give one "
-            "value, or one for each"
+            f"{path} is set to {size} values, but has {count} element{'s' * (count != 1)}: give "
+            f"one "
+            "value, or one for each element"
         )
 
 
