@@ -292,7 +292,7 @@ class Filling(eqx.Module):
             if shape not in ((), (self.bags - 1,)):
                 raise InputError(
                     f"the ports have {shape[0]} values of {name}, but there are {self.bags - 1} "
-                    f"between {self.bags} bags: give one number, or one for each"
+                    f"between {self.bags} bags: give one number, or one for each port"
                 )
 
     @classmethod
@@ -378,15 +378,16 @@ def _check_shared(shared: tuple[tuple[int, ...], ...], links: int) -> None:
     for group in shared:
         if len(group) < 2 or any(b != a + 1 for a, b in pairwise(group)):
             raise InputError(
-                f"the links {list(group)} share a bag, but must be neighbours in their order, such "
-                "as [3, 4, 5]: correct them"
+                f"the links {list(group)} share a bag, but must be neighbours in ascending order, "
+                f"such as [3, 4, 5]: correct the list"
             )
     for link in several:
         if not 1 <= link <= links:
             raise InputError(
-                f"link {link} shares a bag, but the arm has {links} links: correct the number"
+                f"link {link} shares a bag, but the arm has only {links} links: correct the number"
             )
         if several.count(link) > 1:
             raise InputError(
-                f"link {link} shares a bag twice, but has one: put all links of it into one list"
+                f"link {link} is in two lists of shared bags, but can belong to only one bag: put "
+                f"all links of this bag into one list"
             )

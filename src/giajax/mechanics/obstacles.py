@@ -328,7 +328,10 @@ class Box(AbstractObstacle):
 
     def __check_init__(self) -> None:
         if is_concrete(self.size) and not np.all(np.asarray(self.size) > 0):
-            raise InputError(f"the obstacle '{self.name}' has no extent: give three positive sizes")
+            raise InputError(
+                f"the obstacle '{self.name}' has a size that is not positive: give three positive "
+                f"sizes"
+            )
 
     def turn(self) -> Float[Array, "4"]:
         """By its rotation vector."""
@@ -357,7 +360,9 @@ class Plane(AbstractObstacle):
 
     def __check_init__(self) -> None:
         if is_concrete(self.normal) and not np.any(np.asarray(self.normal)):
-            raise InputError(f"the plane '{self.name}' has no normal: give it a direction")
+            raise InputError(
+                f"the plane '{self.name}' has a normal of zero: give a vector that is not zero"
+            )
 
     def turn(self) -> Float[Array, "4"]:
         """The turn of z into the normal, about a level axis."""

@@ -100,7 +100,7 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
             if values.shape not in ((), (joints,)):
                 raise InputError(
                     f"[initial] of '{run.name}' has {values.size} values for {joints} joints: "
-                    "give one number or one per joint"
+                    "give one number or one for each joint"
                 )
             state.append(np.broadcast_to(values, (joints,)))
         return state[0], state[1]
@@ -123,16 +123,18 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
             angles[joint] = line[1] if np.sum(measured) >= 2 else _swung(times, rate)
         else:
             raise InputError(
-                f"[initial] of '{run.name}' says first_row = true, but {name}_angle has "
-                "no value there: record the angle of every joint, state angle_deg, or let the fit "
+                f"[initial] of '{run.name}' states first_row = true, but {name}_angle has no "
+                f"value in the first row"
+                ": record the angle of every joint, state angle_deg, or let the fit "
                 "find the state with free = true"
             )
         recorded = recorded and bool(np.isfinite(rate[0]))
         rates[joint] = rate[0] if np.isfinite(rate[0]) else line[0]
     if not (recorded or section.free):
         raise InputError(
-            f"[initial] of '{run.name}' says first_row = true, but the rate of a joint has no "
-            "value there: record the rates, or let the fit find them with free = true"
+            f"[initial] of '{run.name}' states first_row = true, but the rate of a joint has no "
+            f"value in the first row: record the rates, or let the fit estimate them with"
+            " free = true"
         )
     return angles, rates
 
@@ -221,7 +223,8 @@ def _table(arm: Arm, run: Run, times: np.ndarray, kind: str) -> np.ndarray:
         joint = run.channels[name].index or 0
         if joint > arm.count:
             raise InputError(
-                f"'{run.name}' drives joint {joint}, but the arm has {arm.count} joints: remove "
+                f"'{run.name}' drives joint {joint}, but the arm has only {arm.count} joints: "
+                f"remove "
                 "the column, or give a longer arm"
             )
         values[:, joint - 1] = column
@@ -250,7 +253,8 @@ def wind_of(arm: Arm, run: Run) -> Signal | None:
             channel = run.channels[name]
             if (channel.index or 0) > arm.count:
                 raise InputError(
-                    f"'{run.name}' has the wind of link {channel.index}, but the arm has "
+                    f"'{run.name}' has a wind column for link {channel.index}, but the arm has "
+                    f"only "
                     f"{arm.count} links: remove the column, or give a longer arm"
                 )
             if (channel.index is not None) == own:
@@ -287,7 +291,9 @@ def _controller(given: Any) -> Any:
     import diffrax
 
     if isinstance(given, diffrax.StepTo):
-        raise InputError("StepTo has the times of one run: give an adaptive controller")
+        raise InputError(
+            "StepTo holds the times of a single run: give an adaptive step size controller"
+        )
     return from_text(given) if isinstance(given, str) else given
 
 
@@ -488,7 +494,7 @@ class ArmModel(AbstractModel):
         """The same arm with another solver or tolerance."""
         if tolerance is not None and not 0 < tolerance < np.inf:
             raise InputError(
-                f"the tolerance is {tolerance:g}, and must be positive: give a number such as "
+                f"the tolerance is {tolerance:g}, but must be positive: give a number such as "
                 f"{_TOLERANCE:g}"
             )
         changes: dict[str, Any] = {"solver": solver, "tolerance": tolerance}

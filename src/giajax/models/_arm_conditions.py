@@ -114,19 +114,21 @@ _OWN = ("air.law.", "joints.laws.")
 _KNOWN = ("joints.laws.hardening.", "joints.laws.end_stops.")
 
 _DRAG_AREA = ("air.density", "links.length", "links.diameter")  # C_D is referred to these (eq. 1)
-_COMMANDED = "counted from the clock of the commands, so a lag of the drives has the same effect"
+_COMMANDED = (
+    "relative to the clock of the commands, so that a lag of the drives has the same effect"
+)
 _LENS = (
-    "about the middle of the straight arm, by half of its length, because positions do not say how "
-    "far away the camera is"
+    "relative to the middle of the straight arm and to half of its length, because positions do "
+    "not contain the distance of the camera"
 )
 _SENSORS: dict[str, str] = {
     "camera.delay": _COMMANDED,
-    "camera.clock_rate": "counted against the clock of the commands",
+    "camera.clock_rate": "relative to the clock of the commands",
     "camera.lens_k1": _LENS,
     "camera.lens_k2": _LENS,
     "encoder.delay": _COMMANDED,
-    "encoder.clock_rate": "counted against the clock of the commands",
-    "encoder.offset": "counted from the commanded angle 0, at which the joints are straight",
+    "encoder.clock_rate": "relative to the clock of the commands",
+    "encoder.offset": "relative to the commanded angle 0, at which the joints are straight",
 }
 
 
@@ -213,8 +215,8 @@ def scale_conditions(
     if scaled and not (driven or lifted or blown or measured):
         if strengths and not fitted & set(strengths):
             sentences.append(
-                f"{', '.join(scaled)}: holds for {_values(model, strengths)}, because pressures "
-                "are forces only by the strength of the muscles"
+                f"{', '.join(scaled)}: holds for {_values(model, strengths)}, because the "
+                f"strength of the muscles converts pressures to forces"
             )
         else:
             held = [path for path in SCALE if path in present and path not in fitted]
@@ -226,8 +228,8 @@ def scale_conditions(
                 f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
                 f"inertias, drag, {other} and damping together leaves the motion unchanged; "
                 + (f"held at {_values(model, held)}" if held else "none of these is fixed")
-                + f", with the mass of link {', '.join(map(str, inside))} in its points"
-                * bool(inside)
+                + f", and the mass of link {', '.join(map(str, inside))} is given by its "
+                f"structural point masses" * bool(inside)
             )
     area = [path for path in _DRAG_AREA if path not in fitted]
     if "air.drag_coefficient" in fitted and area:
@@ -235,8 +237,9 @@ def scale_conditions(
     own = sorted(p for p in fitted if p.startswith(_OWN) and not p.startswith(_KNOWN))
     if own:
         sentences.append(
-            f"{', '.join(own)}: not checked, because a law does not say how its force depends "
-            "on them; masses, inertias and all forces together scale as everywhere"
+            f"{', '.join(own)}: not checked, because it is unknown how the force of a "
+            f"user-defined law depends on them; as in every model, the motion depends only on the "
+            f"ratios of masses, inertias and forces"
         )
     if "point_masses.drag_area" in fitted and "air.density" not in fitted:
         density = _values(model, ["air.density"])
@@ -275,10 +278,11 @@ def clock_conditions(
         for power, shown in ((-2, "1 / r^2"), (-1, "1 / r"))
     ]
     return [
-        f"{', '.join(counted)}: counted in seconds of the stamps, because nothing else here has a "
-        f"second in it: a clock whose seconds are r times as many makes {' and '.join(changes)} "
-        "times as large, and no residual shows it (nor, where commands are short steps, that of a "
-        "film alone)"
+        f"{', '.join(counted)}: expressed in the seconds of the time stamps, because no other "
+        f"quantity fixes the unit of time: a clock that runs r times as fast makes"
+        f" {' and '.join(changes)} "
+        "times as large, and the residuals do not change (nor do those of a film alone if the "
+        "commands are short steps)"
     ]
 
 
@@ -291,8 +295,8 @@ def controller_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) ->
     if all(name in run.channels for run in runs if run.model == "arm" for name in names):
         return []
     return [
-        f"{', '.join(known)}: where angles are commanded the controller is taken to know them; if "
-        "the real one had other numbers, give the pressures"
+        f"{', '.join(known)}: where angles are commanded, the controller is assumed to use these "
+        f"values; if the real controller used other values, record the pressures"
     ]
 
 
@@ -304,13 +308,13 @@ def sensor_conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[
     read = [run for run in runs if run.definition.section(InitialSection).first_row]
     if encoder and any(not run.definition.section(InitialSection).free for run in read):
         sentences.append(
-            f"{', '.join(encoder)}: the state in the first row was read with the start value; "
-            "say free = true in [initial] to fit that state too"
+            f"{', '.join(encoder)}: the state in the first row was computed with the start value; "
+            f"state free = true in [initial] to fit this state too"
         )
     if "camera.scale" in fitted and "links.length" not in fitted:
         sentences.append(
-            f"camera.scale: holds for {_values(model, ['links.length'])}, because a camera "
-            "that shows everything larger looks like a longer arm"
+            f"camera.scale: holds for {_values(model, ['links.length'])}, because a larger scale "
+            f"has the same effect as a longer arm"
         )
     return sentences
 
@@ -422,7 +426,7 @@ def _floating(arm: Arm, depth: float | None) -> Arm:
     held: Any = other.buoyancy
     length, place = np.asarray(arm.links.length), np.asarray(held.trim_position)
     if np.any(np.asarray(held.trim_mass) < 0) or np.any((place < 0) | (place > length)):
-        raise InputError("no trim weights on its links make this arm float")
+        raise InputError("no trim weights make this arm float")
     return _moved_alike(other, arm, float(ratio))
 
 

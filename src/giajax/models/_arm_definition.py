@@ -79,7 +79,9 @@ def _entry(obstacle: AbstractObstacle) -> dict[str, Any]:
         parts = {"opening_m": obstacle.opening, "margins_m": obstacle.margins}
         shape, sizes = "wall", numbers(**parts, thickness_m=obstacle.thickness)
     else:
-        raise TypeError(f"an obstacle of type {type(obstacle).__name__} has no entry in files")
+        raise TypeError(
+            f"an obstacle of the type {type(obstacle).__name__} cannot be written to a file"
+        )
     turn = numbers(rotation_deg=np.rad2deg(np.asarray(obstacle.rotation)))
     return {"shape": shape, **about, **sizes, **turn}
 
@@ -113,8 +115,8 @@ def _pinhole(name: str, section: PinholeSection) -> Pinhole:
     for key in needed:
         if keys.get(key) is None:
             raise InputError(
-                f"[camera.{name}] does not state {key}: give it, as well as it is known (a fit can "
-                "find what is not whole pixels)"
+                f"[camera.{name}] does not state {key}: state the best known value (a fit can "
+                f"estimate everything except size_px)"
             )
     width, height = keys["size_px"]
     # The middle of the picture, where the middle of its first pixel is (0, 0).
@@ -132,8 +134,8 @@ def sensors_to_definition(sensors: Sensors) -> dict[str, dict[str, Any]]:
     for name, each in sensors.sensor.items():
         if registered(each.registered_as, name) is not type(each):
             raise InputError(
-                f"there is no registered sensor {name}, and a result could not name it: call "
-                "giajax.register of its class"
+                f"there is no registered sensor {name}, so that a result could not refer to it: "
+                f"call giajax.register with its class"
             )
         _check_fields(each, f"sensor {name}")
     if sensors.sensor:
@@ -243,9 +245,9 @@ def _points_beside(
         return [entry for entry, is_link in zip(entries, own, strict=True) if not is_link], mass
     if np.any(own & ~bare):
         raise InputError(
-            f"arm.link_mass_kg gives link {links[own & ~bare][0]} a mass, which is in its "
-            "structural point_masses already: state link_inertia_kg_m2 beside it, or remove these "
-            "points"
+            f"arm.link_mass_kg gives link {links[own & ~bare][0]} a mass, but its structural "
+            f"point_masses already contain the mass: state link_inertia_kg_m2 too, or remove "
+            f"these points"
         )
     return entries, mass
 
@@ -345,8 +347,9 @@ def _law_name(law: AbstractDragLaw | AbstractJointLaw | AbstractWind) -> str:
     what = f"wind {name}" if role == "wind" else f"{role} law {name}"
     if registered(role, name) is not type(law):
         raise InputError(
-            f"the {what} is not registered, and a result could not name it: call giajax.register "
-            f"of its class{' (a plain function has none: write one)' * (role == 'wind')}"
+            f"the {what} is not registered, so that a result could not refer to it: call "
+            f"giajax.register with its class"
+            f"{' (for a plain function, write a class)' * (role == 'wind')}"
         )
     _check_fields(law, what)
     return name
@@ -358,8 +361,8 @@ def _check_fields(part: Any, what: str) -> None:
         value = getattr(part, field.name)
         if DECLARED not in field.metadata and value != field.default:
             raise InputError(
-                f"the {what} has {field.name} = {value!r}, which no file can state: give it as "
-                "the default of another class"
+                f"the {what} has {field.name} = {value!r}, which cannot be written to a file: "
+                f"make it the default value in a class of its own"
             )
 
 

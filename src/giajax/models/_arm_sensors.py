@@ -182,8 +182,8 @@ class AbstractSensor(eqx.Module):
         row, arm, name = getattr(cls, "channel", None), KINDS["arm"], name_of(cls)
         if not isinstance(row, ChannelKind) or row.part != "output" or row.quantity == "pixel":
             raise InputError(
-                f"{name}.channel is {row!r}: make it the row of its columns, a "
-                'giajax.schema.ChannelKind whose part is "output", of no pixels'
+                f"{name}.channel is {row!r}: make it a "
+                'giajax.schema.ChannelKind with the part "output" and no pixels'
             )
         # A cell of a notebook that is run again may have another row.
         former = {each for each, owner in _SENSORS.items() if owner == name and each != row.name}
@@ -192,7 +192,8 @@ class AbstractSensor(eqx.Module):
         there = row.name in {each.name for each in arm.channels}
         if there and owner != name and not cls.__module__.startswith("giajax."):
             raise InputError(
-                f"the channel '{row.name}' of {name} is that of {owner}: give it another name"
+                f"the channel '{row.name}' of {name} is already that of {owner}: give the channel "
+                f"another name"
             )
         if former or row not in arm.channels:
             add_kind(dataclasses.replace(arm, channels=(*others, row)))
@@ -220,7 +221,7 @@ def sensor_named(name: str) -> AbstractSensor:
         InputError: none is registered, or it has no default.
     """
     if (found := registered(AbstractSensor.registered_as, name)) is None:
-        raise InputError(f"there is no sensor '{name}' here: register its class")
+        raise InputError(f"there is no registered sensor '{name}': register its class")
     made: AbstractSensor = made_by_default(found, f"the sensor {name}")
     return made
 
@@ -248,14 +249,15 @@ def check_sensor(sensor: AbstractSensor, arm: Arm) -> None:
     shape = getattr(shown, "shape", None)
     if shape != (1, *places):
         raise InputError(
-            f"{what} returns the shape {shape} for one sample of {arm.count} links: return "
-            f"{(1, *places)}, as {row.column} says"
+            f"{what} returns the shape {shape} for one sample and an arm of {arm.count} links: "
+            f"return "
+            f"{(1, *places)}, as {row.column} requires"
         )
     for each, found in {"value": shown, "derivative": slope}.items():
         if not bool(jnp.all(jnp.isfinite(found))):
             raise InputError(
                 f"{what} has a {each} that is not finite at rest: correct it (safe_norm of "
-                "giajax.runtime.arrays is a root with derivatives at rest)"
+                "giajax.runtime.arrays is a norm that can be differentiated at rest)"
             )
 
 
@@ -335,8 +337,8 @@ class Sensors(eqx.Module):
         for name, each in self.sensor.items():
             if isinstance(each, AbstractSensor) and name != name_of(type(each)):
                 raise InputError(
-                    f"the sensor '{name}' is a {name_of(type(each))}, by which its columns find "
-                    "it: call it as its class"
+                    f"the sensor '{name}' is a {name_of(type(each))}, but must have the name of "
+                    f"its class, which links its columns to it: rename it"
                 )
 
     def of_row(self, kind: str) -> AbstractSensor | None:
@@ -422,7 +424,7 @@ class Sensors(eqx.Module):
             if known.declaration.per and shape not in ((), (joints,)):
                 raise InputError(
                     f"{name} has {np.prod(shape)} values for an arm of {joints} links: give one "
-                    "number, or one for each"
+                    "number, or one for each joint"
                 )
 
 
@@ -438,22 +440,26 @@ def camera_of(sensors: Sensors, channel: Channel) -> str:
     if not cameras:
         section = f"[camera.{name or 'NAME'}]"
         raise InputError(
-            f"channel {channel.name!r} is of a picture, but no camera is described: give {section} "
+            f"channel {channel.name!r} contains image coordinates, but no camera is described: "
+            f"add {section} "
             "with mount, size_px, focal_length_px, position_m and rotation_deg"
         )
     if name is not None and name not in cameras:
         raise InputError(
-            f"channel {channel.name!r} is of the camera '{name}', which is not described: it must "
+            f"channel {channel.name!r} belongs to the camera '{name}', which is not described: it "
+            f"must "
             f"be {known}, so correct the name or give [camera.{name}]"
         )
     if name is None and len(cameras) > 1:
         raise InputError(
-            f"channel {channel.name!r} does not say which camera shows it: begin its name with "
-            f"that of a camera, {known}, as in '{next(iter(cameras))}.{channel.name}'"
+            f"channel {channel.name!r} does not state its camera: begin the name of the channel "
+            f"with the name of a camera"
+            f", {known}, as in '{next(iter(cameras))}.{channel.name}'"
         )
     if channel.kind == "mark_pixel" and mark_of(channel) not in sensors.landmark:
         raise InputError(
-            f"channel {channel.name!r} is of a landmark that is not described: say where it is in "
+            f"channel {channel.name!r} belongs to a landmark that is not described: state its "
+            f"position in "
             f"[landmark.{mark_of(channel)}]"
         )
     return name or next(iter(cameras))
@@ -487,8 +493,8 @@ def behind_conditions(
     return [
         f"{'camera ' + camera if camera else 'the camera'}: in '{run.name}' "
         f"{sum(count for _, count in found)} recorded pixels of "
-        f"{', '.join(name for name, _ in found)} are of points that the model has behind it, "
-        "where nothing is seen: correct its position and rotation, or which point is which"
+        f"{', '.join(name for name, _ in found)} belong to points that are behind the camera in "
+        f"the model: correct the position and rotation of the camera, or the names of the points"
         for camera, found in cells.items()
     ]
 

@@ -167,12 +167,13 @@ class Pinhole(eqx.Module):
             return View(self.position, axes)
         if arm is None or angles is None:
             raise InputError(
-                f"a camera on {self.mount!r} needs an arm and the angles of its joints: give both"
+                f"a camera on {self.mount!r} requires an arm and its joint angles: give both"
             )
         place = arm.count if self.mount == "tip" else int(self.mount.removeprefix("link"))
         if place > arm.count:
             raise InputError(
-                f"a camera is on link {place}, but the arm has {arm.count} links: correct its mount"
+                f"a camera is on link {place}, but the arm has only {arm.count} links: correct "
+                f"the mount of the camera"
             )
         here = pose(arm, angles, sideways=True)
         assert here.left is not None

@@ -49,7 +49,9 @@ class Columns:
         """As `to_dict` gave them."""
         columns = [definition.get(key, "") for key in ("input_column", "output_column")]
         if not all(isinstance(column, str) for column in columns):
-            raise InputError(f"the columns {shown(columns)} are not names: give text")
+            raise InputError(
+                f"the columns {shown(columns)} are not strings: give the names as strings"
+            )
         return cls(*columns)
 
     def to_dict(self) -> dict[str, str]:
@@ -74,7 +76,7 @@ class Columns:
         for mine, other in zip(own, theirs, strict=True):
             if mine is not None and other is not None and not comparable(mine, other):
                 raise InputError(
-                    f"'{run.name}' has the column {other.column} where the model has "
+                    f"'{run.name}' has the column {other.column} but the model uses "
                     f"{mine.column}: give a run of the same quantity"
                 )
 
@@ -87,12 +89,12 @@ def input_channel(run: Run, kind: str) -> Channel:
     """
     if run.model != kind:
         raise InputError(
-            f"'{run.name}' is a run of the {run.model} model: give one of the {kind} model"
+            f"'{run.name}' is a run of the {run.model} model: give a run of the {kind} model"
         )
     names = list(run.commands)
     if len(names) != 1:
         raise InputError(
-            f"'{run.name}' must have one column of input or command, and has "
+            f"'{run.name}' must have one column of input or command, but has "
             f"{' and '.join(names) or 'none'}: rename or remove columns"
         )
     if len(_outputs(run)) > 1:
@@ -147,7 +149,7 @@ def products_condition(free: Sequence[str]) -> list[str]:
     held = [path for path in ("beta", "gamma", "delta") if path not in free]
     if not names:
         return []
-    how = f"; held: {', '.join(held)}" if held else ""
+    how = f"; held parameters: {', '.join(held)}" if held else ""
     return [f"{', '.join(names)}: only the products beta gamma and beta delta are determined{how}"]
 
 
@@ -207,7 +209,7 @@ def settings_for(section: HysteresisSection, inputs: Sequence[np.ndarray]) -> Hy
         ends = [float(np.min(together)), float(np.max(together))]
     if not ends[0] < ends[1]:
         raise InputError(
-            "the input never changes, so the output does not depend on it: give a run in which it "
+            "the input never changes, so that the output is constant: give a run in which it "
             "changes"
         )
 
@@ -398,13 +400,13 @@ class HysteresisModel(AbstractModel):
         if ignored:
             raise InputError(
                 f"[hysteresis] of '{first.name}' states {', '.join(ignored)}, which {operator} "
-                "does not have: remove it, or state the operator that it belongs to"
+                "does not have: remove this key, or state the operator that has it"
             )
         settings = settings_for(section, inputs)
         if not any(turns(values) for values in inputs):
             raise InputError(
-                f"the input of '{first.name}' never turns back, and hysteresis shows only where it "
-                "does: give a run that goes up and down"
+                f"the input of '{first.name}' never turns back, but hysteresis is visible only "
+                f"after a reversal: give a run with increasing and decreasing input"
             )
         return cls._made(settings, Scale.of(inputs, outputs), Columns.of(first))
 

@@ -43,9 +43,13 @@ class Gyroscope(AbstractSensor):
     kind: ClassVar[str] = "gyroscope"
     channel = IMU_RATE
 
-    offset_x: PerLink = _each(unit="rad/s", doc="what it shows at rest along a link")
-    offset_y: PerLink = _each(unit="rad/s", doc="what it shows at rest to the left of a link")
-    offset_z: PerLink = _each(unit="rad/s", doc="what it shows at rest upwards of a link")
+    offset_x: PerLink = _each(unit="rad/s", doc="reading of the gyroscope at rest, along a link")
+    offset_y: PerLink = _each(
+        unit="rad/s", doc="reading of the gyroscope at rest, to the left of a link"
+    )
+    offset_z: PerLink = _each(
+        unit="rad/s", doc="reading of the gyroscope at rest, upwards from a link"
+    )
 
     def values(self, motion: Trajectory) -> Float[Array, "sample link 3"]:
         """In the frames of the links, with the offsets."""
@@ -69,12 +73,14 @@ class Accelerometer(AbstractSensor):
     kind: ClassVar[str] = "accelerometer"
     channel = IMU_FORCE
 
-    along: PerLink = _each(unit="m", doc="distance of an IMU from the centre of its link, along it")
+    along: PerLink = _each(
+        unit="m", doc="distance of an IMU from the centre of its link, along the link"
+    )
     left: PerLink = _each(unit="m", doc="distance of an IMU to the left of the centre of its link")
     up: PerLink = _each(unit="m", doc="distance of an IMU above the centre of its link")
-    offset_x: PerLink = _each(unit="m/s^2", doc="what it shows too much along a link")
-    offset_y: PerLink = _each(unit="m/s^2", doc="what it shows too much to the left of a link")
-    offset_z: PerLink = _each(unit="m/s^2", doc="what it shows too much upwards of a link")
+    offset_x: PerLink = _each(unit="m/s^2", doc="bias of the accelerometer along a link")
+    offset_y: PerLink = _each(unit="m/s^2", doc="bias of the accelerometer to the left of a link")
+    offset_z: PerLink = _each(unit="m/s^2", doc="bias of the accelerometer upwards from a link")
 
     def values(self, motion: Trajectory) -> Float[Array, "sample link 3"]:
         """In the frames of the links, with the offsets."""
@@ -100,7 +106,7 @@ class Inclinometer(AbstractSensor):
     kind: ClassVar[str] = "inclinometer"
     channel = INCLINATION
 
-    offset: PerLink = _each(unit="rad", doc="what it shows of a horizontal link")
+    offset: PerLink = _each(unit="rad", doc="reading of the inclinometer on a horizontal link")
 
     def values(self, motion: Trajectory) -> Float[Array, "sample link"]:
         """Of the direction of each link."""
@@ -120,7 +126,9 @@ class TensionSensor(AbstractSensor):
     kind: ClassVar[str] = "tension"
     channel = TENSION
 
-    offset: PerLink = _each(unit="N", doc="what it shows of a joint without a force", per="joint")
+    offset: PerLink = _each(
+        unit="N", doc="reading of the tension sensor of a joint without load", per="joint"
+    )
 
     def values(self, motion: Trajectory) -> Float[Array, "sample joint"]:
         """What pulls the links beyond a joint back along the first of them."""
@@ -143,7 +151,9 @@ class CurvatureSensor(AbstractSensor):
     kind: ClassVar[str] = "curvature"
     channel = CURVATURE
 
-    offset: PerLink = _each(unit="1/m", doc="what it shows of a straight joint", per="joint")
+    offset: PerLink = _each(
+        unit="1/m", doc="reading of the curvature sensor at a straight joint", per="joint"
+    )
 
     def values(self, motion: Trajectory) -> Float[Array, "sample joint"]:
         """Positive as the angle is."""

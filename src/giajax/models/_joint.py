@@ -129,14 +129,16 @@ class JointModel(AbstractModel):
         if held:
             shown = ", ".join(f"{path} = {float(get(self, path)):.4g} m" for path in held)
             sentences.append(
-                f"{', '.join(corrections)}: what this geometry leaves over of the torque; held at "
+                f"{', '.join(corrections)}: correction of the torque for this geometry, which is "
+                f"held at "
                 f"{shown}"
             )
         if "torque" not in free and any(
             run.model == self.kind and "torque" not in run.values for run in runs
         ):
             sentences.append(
-                f"{', '.join(corrections)}: for a torque of {float(self.joint.torque):.4g} N m, "
+                f"{', '.join(corrections)}: determined for the assumed torque of "
+                f"{float(self.joint.torque):.4g} N m, "
                 "which the run does not record"
             )
         return sentences

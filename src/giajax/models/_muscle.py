@@ -85,7 +85,7 @@ class MuscleModel(AbstractModel):
         rubs = section.friction or ("coulomb" if law is Piston else "none")
         if rubs == "none" and section.friction_pressures_kPa is not None:
             raise InputError(
-                "[muscle] states friction_pressures_kPa, but there is no friction: remove it, or "
+                "[muscle] states friction_pressures_kPa, but no friction: remove it, or "
                 'state friction = "coulomb"'
             )
         nodes = tuple(p * _PASCAL for p in section.friction_pressures_kPa or [0.0])
@@ -98,8 +98,8 @@ class MuscleModel(AbstractModel):
         for path in values:
             if path not in known:
                 raise InputError(
-                    f"[muscle] states {path.removeprefix('muscle.')}, which the law '{law.name}' "
-                    "does not know: remove it, or give another law"
+                    f"[muscle] states {path.removeprefix('muscle.')}, but the law '{law.name}' "
+                    "does not have it: remove it, or give another law"
                 )
         return replace(model, values)
 

@@ -78,7 +78,7 @@ class OscillatorModel(AbstractModel):
         self.columns.check(run)
         if run.times is None:
             raise InputError(
-                f"'{run.name}' has no times, which an oscillator needs: add the column time_s"
+                f"'{run.name}' has no times, which an oscillator requires: add the column time_s"
             )
         dtype = jnp.result_type(float)
         return OscillatorInputs(
@@ -122,7 +122,7 @@ def _forces(name: str, times: np.ndarray, values: np.ndarray, interpolation: str
         intervals = np.diff(times)
         if np.ptp(intervals) > _UNEVEN * np.mean(intervals):
             raise InputError(
-                f"'{name}' is not sampled evenly, which interpolation = \"band_limited\" needs: "
+                f"'{name}' is not sampled evenly, which interpolation = \"band_limited\" requires: "
                 'state "linear" in [oscillator]'
             )
         rows = _band_limited(values, count)[1 : count * (len(values) - 1) + 1].reshape(-1, count)

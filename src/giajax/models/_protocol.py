@@ -45,7 +45,7 @@ class Line:
         if self.points.shape[1:] != (len(self.radii), 3):
             raise InputError(
                 f"the line '{self.name}' has points of shape {self.points.shape} and "
-                f"{len(self.radii)} radii: give a radius to each point"
+                f"{len(self.radii)} radii: give one radius for each point"
             )
 
 
@@ -62,7 +62,7 @@ class Arrows:
         if self.origins.shape != self.vectors.shape:
             raise InputError(
                 f"the arrows '{self.name}' have origins of shape {self.origins.shape} and vectors "
-                f"of shape {self.vectors.shape}: give an origin to each vector"
+                f"of shape {self.vectors.shape}: give one origin for each vector"
             )
 
 
@@ -105,7 +105,8 @@ class Scene:
             lengths.add(len(self.times))
         if len(lengths) != 1:
             raise InputError(
-                f"the parts of a scene have {sorted(lengths)} samples: give all of them as many"
+                f"the parts of a scene have {sorted(lengths)} samples: give all parts the same "
+                f"number of samples"
             )
 
     @property
@@ -161,13 +162,15 @@ class AbstractModel(ShownAsTable, eqx.Module):
         name: Any = cls.kind
         rows: Any = cls.channels
         if not isinstance(name, str):
-            raise InputError(f"{cls.__name__}.kind is {name!r}: make it a text, as kind = 'kite'")
+            raise InputError(
+                f"{cls.__name__}.kind is {name!r}: make it a string, such as kind = 'kite'"
+            )
         if not rows:
             return
         if name in Definition.model_fields and name not in KINDS:
-            raise InputError(f"there is a section [{name}] already: give the model another kind")
+            raise InputError(f"there already is a section [{name}]: give the model another kind")
         if hasattr(Definition, name) or not re.fullmatch("[A-Za-z][A-Za-z0-9_-]*", name):
-            raise InputError(f"no section can be called {name!r}: give the model another kind")
+            raise InputError(f"no section can have the name {name!r}: give the model another kind")
         if not isinstance(rows, tuple | list) or {*map(type, rows)} != {ChannelKind}:
             raise InputError(
                 f"{cls.__name__}.channels is {rows!r}: make it a tuple of giajax.schema.ChannelKind"
@@ -207,7 +210,9 @@ class AbstractModel(ShownAsTable, eqx.Module):
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The model that `definition()` described, with any values of its parameters."""
         if definition:
-            raise InputError(f"{cls.__name__} has a definition, but no from_definition: write it")
+            raise InputError(
+                f"{cls.__name__} has a definition but no method from_definition: write this method"
+            )
         return made_by_default(cls, f"the model {cls.__name__}")
 
     @abc.abstractmethod
@@ -299,8 +304,8 @@ def build_model(
     for name in kind.split("+"):
         if name not in KINDS and registered(AbstractModel.registered_as, name) is None:
             raise InputError(
-                f"there is no kind of model '{name}' here: use {one_of(KINDS)}, or register the "
-                "class of it"
+                f"there is no kind of model '{name}': use {one_of(KINDS)}, or register the class "
+                f"of the model"
             )
     former = KINDS[kind].former_parameters if kind in KINDS else ()
     values = {path: v for path, v in parameters.items() if path.partition("[")[0] not in former}

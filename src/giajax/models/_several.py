@@ -69,7 +69,8 @@ class SeveralModels(AbstractModel):
                 words = {"input", "output"} & set(declaration.unit.replace("/", " ").split())
                 if kind != part.kind and (words or first != declaration):
                     raise InputError(
-                        f"'{path}' is another quantity in the {part.kind} model than in the {kind} "
+                        f"'{path}' is a different quantity in the {part.kind} model than in the "
+                        f"{kind} "
                         "model: fit their runs separately"
                     )
 
@@ -120,7 +121,7 @@ class SeveralModels(AbstractModel):
         for part in self.parts:
             if part.kind == kind:
                 return part
-        raise InputError(f"there is no {kind} model here: give a run of {self.kind}")
+        raise InputError(f"the combined model has no {kind} part: give a run of {self.kind}")
 
     def prepare(self, run: Run) -> SeveralInputs:
         """What the model of the run's kind prepares."""

@@ -49,7 +49,7 @@ def failure(model: AbstractModel, inputs: Any) -> str:
     Without the method the sentence says that the cause is not checked.
     """
     unknown = (
-        f"the prediction of the {model.kind} model did not succeed, and the cause is not checked: "
+        f"the prediction of the {model.kind} model did not succeed, for a cause that is not known: "
         "choose other start values"
     )
     return _asked(model, "failure", unknown, inputs)
@@ -192,15 +192,13 @@ def with_integration(
             positive number.
     """
     if integration(model) is None:
-        raise InputError(
-            f"the {model.kind} model has neither a solver nor a tolerance: leave both out"
-        )
+        raise InputError(f"the {model.kind} model has neither a solver nor a tolerance: omit both")
     unchanged = model if (solver, tolerance) == (None, None) else None
     changed = _asked(model, "with_integration", unchanged, solver=solver, tolerance=tolerance)
     if changed is None:
         raise InputError(
-            f"the {model.kind} model cannot be given another solver or tolerance: leave both out, "
-            "or write its with_integration"
+            f"the {model.kind} model cannot be given another solver or tolerance: omit both, or "
+            f"write the method with_integration of the model"
         )
     return changed
 

@@ -342,7 +342,7 @@ def _rows(times: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
         )
     if np.any(np.diff(times) <= 0):
         raise InputError(
-            "the times of a signal do not increase strictly: sort them and drop doubles"
+            "the times of a signal do not increase strictly: sort them and remove duplicates"
         )
     return times, values
 
@@ -393,13 +393,13 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
     driven = () if pressure is None else pressure.joints
     for joint in sorted(set(driven) - set(known)):
         raise InputError(
-            f"joint {joint} is driven by pressures, but it has no muscles: say which joints have "
-            'some, as with muscles = "pitch" in [arm]'
+            f"joint {joint} is driven by pressures, but it has no muscles: state which joints "
+            'have muscles, for example muscles = "pitch" in [arm]'
         )
     if pressure is not None and pressure.signal.width != 2 * arm.count:
         raise InputError(
-            f"the pressures have {pressure.signal.width} columns and the arm has {arm.count} "
-            "joints: give those of all first muscles, and then of all second ones"
+            f"the pressures have {pressure.signal.width} columns, but the arm has {arm.count} "
+            "joints: give the columns of all first muscles, then those of all second muscles"
         )
     if arm.pneumatics is None:
         return
@@ -409,8 +409,8 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
         if abs(inner - outer) > 1e-9:
             raise InputError(
                 f"the lever of a muscle jumps at 0 deg from {outer:.4g} to {inner:.4g} m: make "
-                "geometry.anchor_y larger than geometry.contact_y, and the wire long enough to be "
-                "slack"
+                "geometry.anchor_y larger than geometry.contact_y, and make the wire long enough "
+                "to be slack"
             )
     if pressure is not None and is_concrete((pressure, arm.pneumatics.muscle.pressure_limit)):
         columns = np.asarray(driven, dtype=int) - 1
@@ -419,8 +419,8 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
         wrong = given[~((given >= 0) & (given <= limit * (1 + 1e-9)))]
         if wrong.size:
             raise InputError(
-                f"a pressure of a muscle is {wrong[0]:g} Pa: give pressures above the "
-                f"surroundings, from 0 to muscle.pressure_limit = {limit:g} Pa"
+                f"a pressure of a muscle is {wrong[0]:g} Pa: give gauge pressures from 0 to"
+                f" muscle.pressure_limit = {limit:g} Pa"
             )
     if is_concrete(command):
         by_angle = np.asarray(sorted(set(known) - set(driven)), dtype=int) - 1
@@ -430,7 +430,7 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
             worst = beyond[0]
             raise InputError(
                 f"joint {by_angle[worst] + 1} is commanded to {np.rad2deg(largest[worst]):.4g} "
-                "deg, and a pair of muscles bends it by 60 deg at most: command a smaller angle"
+                "deg, but a pair of muscles bends it by at most 60 deg: command a smaller angle"
             )
         if is_concrete(arm) and by_angle.size:
             _check_strength(arm.pneumatics, _reached(command)[:, by_angle])
@@ -450,8 +450,9 @@ def _check_strength(pneumatics: Pneumatics, commanded: np.ndarray) -> None:
         weak = np.flatnonzero(np.isin(np.asarray(answer.code), (NEEDS_PRESSURE, TOO_SHORT)))
         if weak.size:
             raise InputError(
-                f"no pressures hold a joint at {np.rad2deg(angles[weak[0]]):.4g} deg, as it is "
-                f"commanded to: {answer.message(int(weak[0]))}"
+                f"no pressures can hold a joint at the commanded angle of "
+                f"{np.rad2deg(angles[weak[0]]):.4g} deg:"
+                f" {answer.message(int(weak[0]))}"
             )
 
 

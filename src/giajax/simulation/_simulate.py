@@ -49,7 +49,8 @@ _GROUPS = (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, DRIVE, NECK)
 _MUSCLES = {quantity.path.partition(".")[0] for group in _GROUPS for quantity in group}
 
 _REFUSAL = (
-    "a simulation with steps_for='motion' was differentiated by a disturbance (command, wind, "
+    "a simulation with steps_for='motion' was differentiated with respect to a disturbance "
+    "(command, wind, "
     f"torque, initial state, {', '.join(_PARAMETERS)}), for which its steps may be too long: "
     "call simulate with steps_for='derivatives', or the model's for_derivatives"
 )
@@ -69,7 +70,8 @@ def check_steps_for(steps_for: str) -> None:
     if steps_for not in get_args(StepsFor):
         raise InputError(
             f"steps_for={steps_for!r} is unknown: use 'motion', or 'derivatives' to differentiate "
-            "by the wind, the initial state and whatever else may move what is at rest"
+            f"with respect to the wind, the initial state and any other input that can move an "
+            f"arm at rest"
         )
 
 
@@ -433,26 +435,29 @@ def _check(
 ) -> None:
     if command.width != arm.count:
         raise InputError(
-            f"the command drives {command.width} joints and the arm has {arm.count}: "
-            "give one column per joint"
+            f"the command drives {command.width} joints, but the arm has {arm.count}: "
+            "give one column for each joint"
         )
     if wind is not None and wind.width not in (3, 3 * arm.count):
         raise InputError(
-            f"the wind has {wind.width} components: give x, y and z, or those of each of the "
+            f"the wind has {wind.width} components: give x, y and z, or three components for each "
+            f"of the "
             f"{arm.count} links"
         )
     if torque is not None and torque.width != arm.count:
         raise InputError(
-            f"the torque drives {torque.width} joints and the arm has {arm.count}: "
-            "give one column per joint"
+            f"the torque acts on {torque.width} joints, but the arm has {arm.count}: "
+            "give one column for each joint"
         )
     check_wind(arm, wind)
     if controller is not None:
         _check_steps(controller, times)
     if times.ndim != 1 or times.shape[0] < 2:
-        raise InputError(f"times has shape {times.shape}: give at least two times in one row")
+        raise InputError(
+            f"times has shape {times.shape}: give a one-dimensional array of at least two times"
+        )
     if is_concrete(times) and not np.all(np.diff(np.asarray(times)) > 0):
-        raise InputError("the times do not increase strictly: sort them and drop doubles")
+        raise InputError("the times do not increase strictly: sort them and remove duplicates")
 
 
 def _check_steps(controller: Any, times: Array) -> None:
@@ -462,7 +467,7 @@ def _check_steps(controller: Any, times: Array) -> None:
         ends = [[float(each[0]), float(each[-1])] for each in (controller.ts, times)]
         if ends[0] != ends[1]:
             raise InputError(
-                f"StepTo is over {ends[0]} s, and the times over {ends[1]}: let both agree"
+                f"StepTo covers {ends[0]} s, but the times cover {ends[1]}: make both the same"
             )
 
 
@@ -475,6 +480,7 @@ def check_wind(arm: Arm, wind: Signal | None) -> None:
         return
     if bool(wind.jumps):
         raise InputError(
-            "the wind jumps, and with added mass the force of that is infinite: give a wind that "
-            'is linear between its rows (interpolation = "linear")'
+            "the wind is discontinuous, which causes an infinite force with added mass: give a "
+            "wind that "
+            'is linear between samples (interpolation = "linear")'
         )

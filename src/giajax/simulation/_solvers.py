@@ -57,13 +57,14 @@ def solver(named: Solver, *, reverse: bool = True) -> "diffrax.AbstractSolver[An
     # A solver around what is none has no terms.
     if not (isinstance(method, diffrax.AbstractSolver) and hasattr(method, "term_structure")):
         raise InputError(
-            f"there is no solver '{named}': use one of {', '.join(SOLVERS)}, or one of diffrax, "
+            f"unknown solver '{named}': use one of {', '.join(SOLVERS)}, or one of diffrax, "
             "such as Kvaerno4()"
         )
     if method.term_structure is not diffrax.AbstractTerm:
         raise InputError(
-            f"{type(method).__name__} is for stochastic equations or such that are split, and the "
-            "motion of an arm is neither: give another solver, such as Tsit5()"
+            f"{type(method).__name__} is for stochastic or split equations, but the equations of "
+            f"motion of an arm are neither"
+            ": give another solver, such as Tsit5()"
         )
     return method
 
@@ -81,20 +82,23 @@ def check_method(named: Solver, controller: object = None) -> None:
     )
     if not (fixed or adaptive):
         raise InputError(
-            f"the step size controller is {type(controller).__name__}, which says no lengths of "
-            "steps: give diffrax.StepTo(ts=...), or an adaptive one such as diffrax.PIDController"
+            f"the step size controller is {type(controller).__name__}, which does not choose step "
+            f"sizes"
+            ": give diffrax.StepTo(ts=...), or an adaptive one such as diffrax.PIDController"
         )
     if adaptive and not isinstance(method, diffrax.AbstractAdaptiveSolver):
         raise InputError(
-            f"{name} estimates no error of a step, by which its length is chosen: give "
+            f"{name} does not estimate the error of a step, which an adaptive step size requires: "
+            f"give "
             f"diffrax.HalfSolver({name}()), or stepsize_controller=diffrax.StepTo(ts=...)"
         )
     if fixed and isinstance(method, diffrax.AbstractImplicitSolver):
         of_controller = diffrax.ImplicitEuler().root_finder.rtol  # what stands for that
         if method.root_finder.rtol is of_controller:
             raise InputError(
-                f"{name} takes the tolerances of its equations from an adaptive controller, and "
-                "StepTo has none: give it root_finder=diffrax.VeryChord(rtol=1e-8, atol=1e-8)"
+                f"{name} takes the tolerances of its equations from an adaptive controller, but "
+                f"StepTo has none: give the solver"
+                " root_finder=diffrax.VeryChord(rtol=1e-8, atol=1e-8)"
             )
     if adaptive and controller is not None:
         with_tolerances(controller, 0.0, 0.0)
@@ -110,5 +114,6 @@ def with_tolerances(controller: Any, rtol: Any, atol: Any) -> Any:
         return eqx.tree_at(lambda outer: outer.controller, controller, inner)
     raise InputError(
         f"the step size controller {type(controller).__name__} has no fields rtol and atol, which "
-        "a fit or a caller sets: give it both, or diffrax.PIDController(rtol=..., atol=...)"
+        f"a fit or a caller sets: add both fields"
+        ", or diffrax.PIDController(rtol=..., atol=...)"
     )

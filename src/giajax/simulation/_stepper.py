@@ -98,12 +98,12 @@ class Stepper(eqx.Module):
         for name in ("drive_gain", "drive_lag", "drive_saturation"):
             if getattr(self.arm.joints, name) is not None:
                 raise InputError(
-                    f"the arm has joints.{name}, which a motion that is decided on the way does "
-                    "not follow: leave it out, or call simulate"
+                    f"the arm has joints.{name}, which stepwise simulation does not support: omit "
+                    f"this parameter, or call simulate"
                 )
         tolerance = self.tolerance
         if tolerance is not None and is_concrete(tolerance) and not float(tolerance) > 0:
-            raise InputError(f"the tolerance is {self.tolerance}: give a positive number, or none")
+            raise InputError(f"the tolerance is {self.tolerance}: give a positive number, or None")
         if self.tolerance is None:
             solver_named(self.solver)
         else:
@@ -156,7 +156,10 @@ class Stepper(eqx.Module):
         """
         command = _row("command", self.arm.count, command)
         if moment.wind is None and wind is not None:
-            raise InputError("a wind comes up in still air: give one at the start, 0 m/s perhaps")
+            raise InputError(
+                "a wind is given after a start in still air: give a wind at the start, for "
+                "example 0 m/s"
+            )
         if moment.wind is not None:
             wind = moment.wind if wind is None else _row("wind", moment.wind.size, wind)
         return _advance(self, moment, command, wind)
@@ -221,6 +224,6 @@ def _row(name: str, count: int, values: Any) -> Array:
     row = jnp.asarray(values, dtype=jnp.result_type(float))
     if row.shape != (count,):
         raise InputError(
-            f"the {name} of a moment have shape {row.shape}: give {count} numbers in one row"
+            f"the {name} of one time have the shape {row.shape}: give {count} numbers in one row"
         )
     return row

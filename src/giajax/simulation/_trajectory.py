@@ -33,9 +33,12 @@ class RESULTS(eqx.Enumeration):
         "the simulation reached its step limit before the last time: raise max_steps, loosen "
         "rtol and atol, or choose solver='springs5' for a stiff arm"
     )
-    not_finite = "the simulation became infinite or NaN: check the parameters and the initial state"
+    not_finite = (
+        "the state of the arm became infinite or NaN: check the parameters and the initial state"
+    )
     step_too_small = (
-        "the simulation needs steps smaller than floating point resolves: loosen rtol and atol, "
+        "the simulation requires steps smaller than floating-point resolution: loosen rtol and "
+        "atol, "
         "or check the parameters"
     )
 
@@ -140,8 +143,8 @@ class Trajectory(eqx.Module):
     def _of_motion(self, what: str) -> Array:
         if self.memory is None and self.arm.joint_laws.rows:
             raise InputError(
-                f"the {what} of this motion are not known, because its joints remember and it does "
-                "not: simulate it"
+                f"the {what} of this motion are unknown, because they depend on the history of "
+                f"the joints, which this motion does not contain: call simulate"
             )
         found: Array = _moved(self, what)
         return found
@@ -245,7 +248,7 @@ def contacts(trajectory: Trajectory) -> Contacts:
     """
     contact = trajectory.arm.contact
     if contact is None:
-        raise InputError("the arm has no obstacles: give it some, as [[arm.obstacles]]")
+        raise InputError("the arm has no obstacles: add obstacles as [[arm.obstacles]]")
     rows = (trajectory.angles, trajectory.rates, trajectory.skin)
     flattening, force = _touched(trajectory.arm, *rows)
     steps = jnp.diff(trajectory.times)
@@ -290,6 +293,8 @@ def _target(joints: int, angles: Mapping[int, float]) -> np.ndarray:
     target = np.zeros(joints)
     for joint, angle in angles.items():
         if not 1 <= joint <= joints:
-            raise InputError(f"joint {joint} is not in the arm: give a number from 1 to {joints}")
+            raise InputError(
+                f"joint {joint} is not a joint of the arm: give a number from 1 to {joints}"
+            )
         target[joint - 1] = angle
     return target

@@ -81,21 +81,23 @@ class Arm(ShownAsTable, eqx.Module):
         if len(self.joints.axes) != self.links.count:
             raise InputError(
                 f"{len(self.joints.axes)} joint axes for {self.links.count} links: "
-                "give one axis per link"
+                "give one axis for each link"
             )
         if self.point_masses is not None and max(self.point_masses.links) > self.links.count:
             raise InputError(
-                f"a point mass is on link {max(self.point_masses.links)} of an arm of "
+                f"a point mass is on link {max(self.point_masses.links)} of an arm with only "
                 f"{self.links.count} links: correct the number"
             )
         if self.pneumatics is not None and self.pneumatics.joints[-1] > self.links.count:
             raise InputError(
-                f"joint {self.pneumatics.joints[-1]} has muscles, but the arm has "
+                f"joint {self.pneumatics.joints[-1]} has muscles, but the arm has only "
                 f"{self.links.count} joints: correct the number"
             )
         driven = [type(law).__name__ for law in self.further_laws.laws if law.takes_pressures]
         if len(driven) > 1:
-            raise InputError(f"{' and '.join(driven)} take pressures: give an arm one such law")
+            raise InputError(
+                f"{' and '.join(driven)} both take pressures: use only one such law in an arm"
+            )
 
     @property
     def count(self) -> int:
@@ -131,7 +133,7 @@ class Arm(ShownAsTable, eqx.Module):
         rows = {
             "length": f"{_in_text(np.sum(links.length, axis=-1))} m",
             "diameter": f"{_in_text(links.diameter)} m",
-            "mass": f"{_in_text(mass)} kg, helium and trim apart",
+            "mass": f"{_in_text(mass)} kg, without helium and trim weights",
             "joints": ", ".join(f"{count} {name}" for name, count in axes.items()),
             "joint laws": ", ".join(dict.fromkeys(type(law).__name__ for law in laws)),
             "drag": f"{drag}, in air of {_in_text(self.air.density)} kg/m^3",
@@ -264,7 +266,7 @@ def net_lift(arm: Arm) -> Float[Array, " link"]:
         InputError: the arm leaves buoyancy out.
     """
     if arm.buoyancy is None:
-        raise InputError("this arm leaves buoyancy out: build it with buoyancy=True")
+        raise InputError("this arm has no buoyancy: build it with buoyancy=True")
     return arm.air.density * arm.links.volume - bodies(arm).mass
 
 
@@ -280,14 +282,14 @@ def trimmed(arm: Arm, *, level: bool = False) -> Arm:
             hang beyond its ends.
     """
     if arm.buoyancy is None:
-        raise InputError("this arm leaves buoyancy out: build it with buoyancy=True")
+        raise InputError("this arm has no buoyancy: build it with buoyancy=True")
     bare = dataclasses.replace(arm.buoyancy, trim_mass=jnp.zeros_like(arm.links.mass))
     weights = net_lift(dataclasses.replace(arm, buoyancy=bare))
     if is_concrete(weights) and np.any(np.asarray(weights) < 0):
         link = int(np.argmin(np.asarray(weights))) + 1
         raise InputError(
             f"link {link} is {-float(weights[link - 1]):.3g} kg too heavy to float, so no trim "
-            "weight balances it: make it lighter or larger"
+            "weight balances it: make the link lighter or larger"
         )
     changes = {"trim_mass": weights}
     if level:
@@ -401,7 +403,9 @@ def chain(
         ... )
     """
     if pair is not None and muscles is None:
-        raise InputError('a pair of muscles is in no joint: give muscles="pitch" as well')
+        raise InputError(
+            'a law of muscles is given, but no joint has muscles: give muscles="pitch" as well'
+        )
     if links < 1:
         raise InputError(f"an arm of {links} links cannot be built: give at least 1")
     values = dict(parameters or {})
@@ -424,7 +428,7 @@ def chain(
         array = np.asarray(value, dtype=float)
         if array.shape not in ((), (1,), (links,)):
             raise InputError(
-                f"{name} has {array.size} values for {links} links: give one number or {links}"
+                f"{name} has {array.size} values for {links} links: give one number, or {links}"
             )
         if not np.all(np.isfinite(array)) or not np.all(array > declared.lower):
             raise InputError(
@@ -440,7 +444,9 @@ def chain(
     axial = mass * (diameter / 2) ** 2
     if inertia is not None:
         if inertia_transverse is not None or inertia_axial is not None:
-            raise InputError("inertia is the whole of it: leave out the transverse and axial one")
+            raise InputError(
+                "inertia already contains the transverse and axial inertias: omit these two"
+            )
         centre = np.stack([centre_of_mass, *np.zeros((2, links))], axis=1)
         whole = six_points(mass, centre, _tensors(inertia, links), point_masses)
         mass, inertia_axial, inertia_transverse, point_masses = whole
@@ -454,7 +460,9 @@ def chain(
         law = law_named(AbstractDragLaw.registered_as, drag)
     if law is not None:
         if (strip_points, drag_curve) != (3, "constant"):
-            raise InputError("strip_points and drag_curve are of no law but giajax's: remove them")
+            raise InputError(
+                "strip_points and drag_curve apply only to the drag laws of giajax: remove them"
+            )
         # The coefficient of eq. (1) is at its bound, so that no fit frees it.
         air |= {"drag": "centre", "law": law, "drag_coefficient": 0.0}
     air |= {} if air_density is None else {"density": air_density}
@@ -481,7 +489,8 @@ def chain(
     )
     if trim and "buoyancy.trim_mass" in values:
         raise InputError(
-            "trim computes buoyancy.trim_mass, which is among the parameters, too: leave one out"
+            "trim computes buoyancy.trim_mass, which is also among the parameters: remove one of "
+            "the two"
         )
     if wind_field is not None:
         arm = with_wind(arm, wind_field)
@@ -489,7 +498,7 @@ def chain(
     if law is not None:
         if arm.air.axial_coefficient is not None or values.get("air.drag_coefficient", 0.0):
             raise InputError(
-                "coefficients of air have no part in a law of drag of one's own: remove "
+                "the drag coefficients of air do not apply to a user-defined drag law: remove "
                 "air.drag_coefficient and air.axial_coefficient"
             )
         check_drag_law(arm.air.drag_law, links)
@@ -518,7 +527,7 @@ def with_wind(arm: Arm, wind: str | AbstractWind | Callable[..., Any]) -> Arm:
     """
     field: Any = wind
     if isinstance(wind, str) and (field := law_named(AbstractWind.registered_as, wind)) is None:
-        raise InputError(f"there is no wind {wind!r}: register it, or correct the name")
+        raise InputError(f"there is no registered wind {wind!r}: register it, or correct the name")
     field = as_wind(field)
     # From the first joint to the tip, in the direction of the straight arm.
     ends = jnp.concatenate([jnp.zeros_like(arm.links.length[:1]), jnp.cumsum(arm.links.length)])
@@ -538,8 +547,9 @@ def _check_stated(values: Mapping[str, Any], axes: Any, idle: Mapping[str, float
     missing += ["joint_axes"] if axes is None else []
     if missing:
         raise InputError(
-            f"this arm has no {', '.join(missing)}: state what is missing (joints.* in "
-            "[arm.parameters] of a file; of these 0 is a value), or begin with a preset, such as "
+            f"this arm lacks {', '.join(missing)}: state these values (joints.* in "
+            f"[arm.parameters] of a file; 0 is valid there), or start from"
+            " a preset, such as "
             "takeichi_20m"
         )
 
@@ -554,15 +564,20 @@ def _laws_of(laws: Sequence[str | AbstractJointLaw]) -> dict[str, AbstractJointL
             raise InputError(f"joint_laws has {each!r}: give a list of names or instances of laws")
         law: Any = each if isinstance(each, AbstractJointLaw) else law_named("joint", each)
         if law is None:
-            raise InputError(f"there is no joint law {each!r}: register it, or correct the name")
+            raise InputError(
+                f"there is no registered joint law {each!r}: register it, or correct the name"
+            )
         name, kind = name_of(type(law)), type(law)
         if kind.__module__ == AbstractJointLaw.__module__ and registered("joint", name) is not kind:
             raise InputError(
-                f"{name} is what joints have by their parameters: give those, such as "
-                "joints.pitch_stiffness or joints.memory.strength, or derive a class of yours"
+                f"{name} is a law that parameters of the joints switch on: give these parameters, "
+                f"such as "
+                "joints.pitch_stiffness or joints.memory.strength, or derive your own class"
             )
         if name in named:
-            raise InputError(f"{name} is among joint_laws twice: derive a class for the other one")
+            raise InputError(
+                f"{name} appears twice in joint_laws: derive another class for one of the two"
+            )
         named[name] = law
     return dict(sorted(named.items()))
 
@@ -581,7 +596,7 @@ def _tensors(inertia: Any, links: int) -> np.ndarray:
     if array.shape not in ((6,), (links, 6)) or not np.all(np.isfinite(array)):
         raise InputError(
             f"inertia has the shape {array.shape}: give six finite numbers (xx, yy, zz, xy, xz, "
-            f"yz), or such a row for each of {links} links"
+            f"yz), or one such row for each of {links} links"
         )
     rows = np.broadcast_to(array, (links, 6))
     return rows[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(links, 3, 3)
@@ -599,7 +614,7 @@ def _with_parameters(arm: Arm, values: Mapping[str, Any]) -> Arm:
         if array.shape not in allowed or not np.all(np.isfinite(array)):
             raise InputError(
                 f"'{path}' has {array.size} values: give one finite number"
-                + (f", or {allowed[-1][0]} of them" if allowed[-1] else "")
+                + (f", or {allowed[-1][0]} numbers" if allowed[-1] else "")
             )
         arm = parameter.set(arm, array)
     # Numbers of elements came one after the other.
@@ -700,5 +715,8 @@ def preset(name: str, links: int | None = None, **changes: Any) -> Arm:
     if name not in PRESETS:
         raise InputError(f"there is no arm preset '{name}': use one of {', '.join(PRESETS)}")
     if links is None and name == "chain":
-        raise InputError("this arm has no number of links: state links, or one of its lists")
+        raise InputError(
+            "the number of links of this arm is unknown: state links, or a list with one value "
+            "for each link"
+        )
     return PRESETS[name](**changes) if links is None else PRESETS[name](links, **changes)

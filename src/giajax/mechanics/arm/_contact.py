@@ -138,7 +138,7 @@ def clearance(arm: Arm, angles: PerJoint) -> Float[Array, "link box"]:
         InputError: an arm with nothing around it.
     """
     if arm.contact is None:
-        raise InputError("the arm has nothing around it to keep clear of: give it obstacles")
+        raise InputError("the arm has no obstacles to keep clear of: add obstacles")
     boxes = len(owners(arm.contact.obstacles))
     link, box = (grid.ravel() for grid in jnp.indices((arm.count, boxes)))
     lines, _ = _lines(arm, arm.contact, pose(arm, angles), Pairs(link, box))

@@ -213,9 +213,11 @@ def _try(law: AbstractDragLaw, links: int) -> None:
     name, points = type(law).__name__, law.points
     what = f"{name}.force"
     if any(each.name == "points" and not each.metadata.get("static") for each in fields(law)):
-        raise InputError(f"{name}.points is a field: make it a constant of the class, or static")
+        raise InputError(
+            f"{name}.points is a field: make it a constant of the class, or a static field"
+        )
     if operator.index(points) < 0:
-        raise InputError(f"{name}.points is {points!r}: give 0, or as many points")
+        raise InputError(f"{name}.points is {points!r}: give a number of points, or 0")
     rounding = 1e-6 if jnp.zeros(()).dtype == jnp.float64 else 1e-3
 
     def stream(velocity: Array, places: int) -> Stream:
@@ -238,32 +240,37 @@ def _try(law: AbstractDragLaw, links: int) -> None:
         if getattr(acting, "shape", None) != moving.shape:
             raise InputError(
                 f"{what} returns the shape {getattr(acting, 'shape', None)} for velocities of "
-                f"shape {moving.shape}: return a force for each of them"
+                f"shape {moving.shape}: return one force for each velocity"
             )
         at = f"at {speed:g} m/s" if speed else "at rest"
         power = jnp.sum(acting * moving, axis=0)
         if bool(jnp.any(power > rounding * safe_norm(acting) * safe_norm(moving))):
             raise InputError(
-                f"{what} drives a link that moves through the air {at}, and would make energy: let "
-                "it act against the velocity"
+                f"{what} accelerates a link that moves through the air {at}, which would create "
+                f"energy: let the force act"
+                " against the velocity"
             )
         turned = jnp.roll(velocity, 1, axis=0) if speed else jnp.ones_like(velocity)
         slope = jax.jvp(force, (velocity,), (turned,))[1]
         by_parameters = jax.jvp(
             lambda values, at=here: eqx.combine(values, rest).force(at), (parameters,), (ones,)
         )[1]
-        known = {"value": acting, "slope": slope, "derivative by parameters": by_parameters}
+        known = {
+            "value": acting,
+            "slope": slope,
+            "derivative with respect to parameters": by_parameters,
+        }
         for each, values in known.items():
             if not bool(jnp.all(jnp.isfinite(values))):
                 raise InputError(
                     f"{what} has a {each} that is not finite {at}: correct it (safe_norm of "
-                    "giajax.runtime.arrays is a root with derivatives at rest)"
+                    "giajax.runtime.arrays is a norm that can be differentiated at rest)"
                 )
         step = rounding
         found = (force(velocity + step * turned) - force(velocity - step * turned)) / (2 * step)
         size = jnp.max(jnp.abs(slope)) + jnp.max(jnp.abs(acting))
         if speed >= 1 and float(jnp.max(jnp.abs(found - slope))) > 1e-2 * float(size):
             raise InputError(
-                f"{what} has a derivative {at} that is not that of its differences: correct its "
+                f"{what} has a derivative {at} that does not match finite differences: correct its "
                 "custom rule, or remove it"
             )

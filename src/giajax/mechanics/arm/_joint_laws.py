@@ -394,10 +394,17 @@ class Hardening(AbstractJointLaw):
     kind: ClassVar[str] = "hardening"
 
     cubic: Each = _each_joint(
-        1.0, unit="N m/rad^3", upper=1e4, frozen=False, doc="torque by the cube of the deflection"
+        1.0,
+        unit="N m/rad^3",
+        upper=1e4,
+        frozen=False,
+        doc="coefficient of the torque proportional to the cube of the deflection",
     )
     quintic: Each = _each_joint(
-        0.0, unit="N m/rad^5", upper=1e4, doc="torque by the fifth power of the deflection"
+        0.0,
+        unit="N m/rad^5",
+        upper=1e4,
+        doc="coefficient of the torque proportional to the fifth power of the deflection",
     )
 
     def torque(self, at: JointState) -> PerJoint:
@@ -429,10 +436,17 @@ class EndStops(AbstractJointLaw):
     upper: Each = _each_joint(1.05, unit="rad", upper=np.pi, doc="angle of the upper stop")
     stiffness: Each = _each_joint(100.0, unit="N m/rad", upper=1e5, doc="stiffness of the stops")
     damping: Each = _each_joint(
-        0.0, unit="s/rad", upper=1e3, doc="by how much stops press harder the faster they close"
+        0.0,
+        unit="s/rad",
+        upper=1e3,
+        doc="relative increase of the torque of the stops per closing rate",
     )
     blend: Each = _each_joint(
-        0.02, unit="rad", lower=1e-6, upper=1, doc="angle within which stops reach their stiffness"
+        0.02,
+        unit="rad",
+        lower=1e-6,
+        upper=1,
+        doc="range of angle over which the stops reach their full stiffness",
     )
 
     def torque(self, at: JointState) -> PerJoint:
@@ -552,7 +566,8 @@ class Stops(AbstractJointLaw):
         if len(shapes) > 1 or any(len(shape) != 1 or not shape[0] for shape in shapes):
             raise InputError(
                 f"joints.stops has strengths of shape {self.strength.shape} and yield angles of "
-                f"shape {self.yield_angle.shape}: give one of each for every element"
+                f"shape {self.yield_angle.shape}: give one strength and one yield angle for each "
+                f"element"
             )
 
     @property

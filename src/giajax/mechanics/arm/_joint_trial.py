@@ -67,11 +67,13 @@ _WAY, _LEGS = 0.05, 1e-3
 def _check_shapes(law: AbstractJointLaw, joints: int) -> None:
     name = type(law).__name__
     if any(each.name == "rows" and not each.metadata.get("static") for each in fields(law)):
-        raise InputError(f"{name}.rows is a field: make it a constant of the class, or static")
+        raise InputError(
+            f"{name}.rows is a field: make it a constant of the class, or a static field"
+        )
     rows: Any = law.rows
     if not isinstance(rows, int) or rows < 0:
         rows = "a method" if callable(rows) else rows
-        raise InputError(f"{name}.rows is {rows}: give 0, or as many states of each joint")
+        raise InputError(f"{name}.rows is {rows}: give the number of states of each joint, or 0")
     each, states = jnp.zeros(joints), jnp.zeros((rows, joints))
     supply = jnp.zeros((2, joints))
     at = JointState(each, each, each, states, supply if law.takes_pressures else None)
@@ -101,8 +103,8 @@ def _check_shapes(law: AbstractJointLaw, joints: int) -> None:
         kinds = {str(x.dtype) for x in jax.tree.leaves(found)} - {str(each.dtype)}
         if kinds:
             raise InputError(
-                f"{name}.{method} returns {kinds.pop()} where angles are {each.dtype}: return "
-                "numbers of the type of the angles"
+                f"{name}.{method} returns {kinds.pop()} but the angles are {each.dtype}: return "
+                f"numbers of the same type as the angles"
             )
 
 
@@ -272,44 +274,57 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
         return inside
 
     for method, value in found["values"].items():
-        finite = "correct it (safe_norm of giajax.runtime.arrays is a root with derivatives at 0)"
+        finite = (
+            "correct it (safe_norm of giajax.runtime.arrays is a norm that can be differentiated "
+            "at 0)"
+        )
         refuse(method, "has a value that is not finite", ~np.isfinite(value), finite)
         apart = "compute each joint from its own angle, rate, command, states and pressures"
         moves = found["others"][method] > 1e-9 * largest(value)
         refuse(method, "depends on another joint", moves, apart)
         for given, parts in found["slopes"].items():
             slope, *slopes = (part[method] for part in parts)
-            what = f"has a derivative by its {given} that is not"
+            what = f"has a derivative with respect to its {given} that is not"
             refuse(method, f"{what} finite", ~np.isfinite(slope), finite)
             wrong = ~between(slope, slopes, _SLOPES * largest(slope, value))
-            refuse(method, f"{what} that of differences", wrong, "correct its rule, or remove it")
+            refuse(
+                method,
+                f"{what} that of finite differences",
+                wrong,
+                "correct its rule, or remove it",
+            )
     moves = found["slopes"]["rates"][0]["energy"] != 0
-    refuse("energy", "depends on the rate", moves, "store by angle, command and states alone")
+    refuse(
+        "energy",
+        "depends on the rate",
+        moves,
+        "let the stored energy depend only on angle, command and states",
+    )
     if "travelled" in found:
         followed, states = (each - at.states for each in found["travelled"])
         wrong = np.abs(followed - states) > _SLOPES * largest(states)
-        what = f"is not what {name}.rate comes to after a short way"
+        what = f"does not match the integral of {name}.rate over a short path"
         refuse("travelled", what, wrong, "correct one of them, or remove it")
         whole, legs = found["legs"]
         wrong = np.abs(whole - legs) > _LEGS * largest(legs)
-        refuse("travelled", "is not what two halves of a way come to", wrong, "correct it")
+        refuse("travelled", "does not match the result of two half paths", wrong, "correct it")
     stiffness, stiffest = found["falling"][0], found["stiffest"]
     within = np.abs(at.angles) <= law.largest_angle
     wrong = within & (stiffest < stiffness - 1e-6 * largest(stiffness)) | ~np.isfinite(stiffest)
     what = f"is less than {name}.slopes, or not finite,"
-    refuse("stiffest", what, wrong, "correct it, or leave it to derivatives")
+    refuse("stiffest", what, wrong, "correct it, or remove it, so that derivatives are used")
     for given, falling in zip(("angles", "rates"), found["falling"], strict=True):
         slopes = [part["torque"] for part in found["slopes"][given][1:]]
         wrong = ~between(-falling, slopes, _SLOPES * largest(*slopes, found["values"]["torque"]))
-        what = f"is not how the torque falls with the {given}"
-        refuse("slopes", what, wrong, "correct it, or leave it to derivatives")
+        what = f"does not match the decrease of the torque with the {given}"
+        refuse("slopes", what, wrong, "correct it, or remove it, so that derivatives are used")
     taken, stored = found["taken"], found["stored"]
     lost, size = taken - stored, np.abs(taken) + np.abs(stored)
     margin = _POWERS * size + 1e-6 * largest(size) + 1e-8 * largest(found["values"]["energy"])
     if law.passive:
-        what = f"gives more than {name}.energy had stored, and would make energy,"
+        what = f"releases more energy than {name}.energy had stored"
         refuse("torque", what, lost < -margin, "correct one of them, or state passive = False")
     if type(law).dissipation is not AbstractJointLaw.dissipation:
-        what = "is not what torque and energy lose"
+        what = "does not match the loss from torque and energy"
         wrong = ~between(lost, found["dissipation"], margin)
-        refuse("dissipation", what, wrong, "correct it, or leave it to derivatives")
+        refuse("dissipation", what, wrong, "correct it, or remove it, so that derivatives are used")

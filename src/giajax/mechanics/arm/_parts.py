@@ -123,8 +123,8 @@ class Air(eqx.Module):
             raise InputError(f"strip_points is {self.strip_points}: give at least 1")
         if self.axial_coefficient is not None and self.drag == "centre" and self.law is None:
             raise InputError(
-                "drag = 'centre' has the full velocity already and no axial coefficient: "
-                "use drag = 'strip', or leave air.axial_coefficient out"
+                "drag = 'centre' already uses the full velocity and has no axial coefficient: "
+                "use drag = 'strip', or omit air.axial_coefficient"
             )
 
     @property
@@ -307,7 +307,7 @@ class PointMasses(eqx.Module):
             if value is not None and value.shape not in ((), (len(self.links),)):
                 raise InputError(
                     f"the point masses have {len(self.links)} links and a {name} of shape "
-                    f"{value.shape}: give one number, or one each"
+                    f"{value.shape}: give one number, or one for each point mass"
                 )
 
 
@@ -342,7 +342,8 @@ def six_points(
         scale = principal.sum()
         if not (scale > 0 and 2 * principal[-1] <= (1 + 1e-6) * scale):
             raise InputError(
-                f"no body has the inertia of link {link + 1}, whose principal moments are "
+                f"no rigid body can have the inertia of link {link + 1}, whose principal moments "
+                f"are "
                 f"{', '.join(f'{moment:.3g}' for moment in principal)} kg m^2: the largest must be "
                 "positive, and at most the sum of the others"
             )
@@ -425,7 +426,9 @@ class Contact(eqx.Module):
 
     def __check_init__(self) -> None:
         if not self.obstacles:
-            raise InputError("contact without an obstacle: give at least one, or leave contact out")
+            raise InputError(
+                "contact is given without an obstacle: give at least one obstacle, or omit contact"
+            )
         names = [obstacle.name for obstacle in self.obstacles]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:

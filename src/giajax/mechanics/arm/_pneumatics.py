@@ -120,23 +120,23 @@ class Pneumatics(AbstractJointLaw):
     def __check_init__(self) -> None:
         if not self.joints or np.any(np.diff(self.joints) <= 0) or self.joints[0] < 1:
             raise InputError(
-                f"muscles are in joints {list(self.joints)}: give numbers of joints from 1 on, "
-                "increasing, each once"
+                f"the joints with muscles are {list(self.joints)}: give increasing numbers of "
+                f"joints, from 1 on, each once"
             )
         if self.muscle.pushes:
             raise InputError(
-                f'the law of an arm\'s muscles is "{self.muscle.name}", which pushes, and a pair '
-                "of muscles pulls: use another law"
+                f'the law of an arm\'s muscles is "{self.muscle.name}", which pushes, but '
+                "the muscles of a pair must pull: use another law"
             )
         correction = self.joint.correction
         if correction.reading == "printed":
             raise InputError(
                 "the corrections of an arm's muscles are as printed, where beta jumps at 2 and 20 "
-                'deg, and a joint would stick there: use "continuous" or "none"'
+                'deg, which would stop a joint there: use "continuous" or "none"'
             )
         if correction.reading == "continuous" and not correction.blend > 0:
             raise InputError(
-                "the corrections of an arm's muscles jump at 0, and a joint would stick there: "
+                "the corrections of an arm's muscles jump at 0, which would stop a joint there: "
                 "blend them over a half-width such as 1 deg"
             )
 
@@ -151,7 +151,7 @@ class Pneumatics(AbstractJointLaw):
             return self._hinge
         if self.gas is None:
             raise InputError(
-                "the necks of these joints have the gas of links: use in_links(arm.links)"
+                "the necks of these joints share the gas of the links: use in_links(arm.links)"
             )
         return JointPair(self.joint, self.muscle, self.neck.filled(self.gas))
 

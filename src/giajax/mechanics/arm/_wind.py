@@ -96,13 +96,13 @@ def _try(name: str, wind: AbstractWind, position: Array) -> None:
         if getattr(velocity, "shape", None) != position.shape:
             raise InputError(
                 f"{name} returns the shape {getattr(velocity, 'shape', None)} for positions of "
-                f"shape {position.shape}: return a velocity for each of them"
+                f"shape {position.shape}: return one velocity for each position"
             )
         for what, values in {"value": velocity, "derivative": slope}.items():
             if values is not None and not bool(jnp.all(jnp.isfinite(values))):
                 raise InputError(
-                    f"{name} has a {what} that is not finite at {moment:g} s where the arm is: "
-                    "correct it, or where its ground is"
+                    f"{name} has a {what} that is not finite at {moment:g} s at the position of "
+                    f"the arm: correct the field, or the height of its ground"
                 )
         # Both orders at once; and alone, where the mean or the largest of all is that of one.
         for places, alike in (

@@ -323,7 +323,7 @@ class BoucWenOscillator(eqx.Module):
     def __check_init__(self) -> None:
         if self.steps < 1 or MOST_STEPS % self.steps:
             raise InputError(
-                f"{self.steps} steps a sample do not divide {MOST_STEPS}: choose 1, 2, 4, 8 or 16"
+                f"{self.steps} steps per sample do not divide {MOST_STEPS}: choose 1, 2, 4, 8 or 16"
             )
 
     def rate(self, state: State, force: Scalar) -> State:

@@ -49,7 +49,7 @@ class BranchCompensator(AbstractExactOperator):
     def __check_init__(self) -> None:
         if is_concrete(self.travel) and not 0 < float(self.travel) < np.inf:
             raise InputError(
-                f"the travel is {float(self.travel):g}: give a positive one, in the unit of the "
+                f"the travel is {float(self.travel):g}: give a positive travel in the unit of the "
                 "desired output"
             )
 
@@ -127,7 +127,8 @@ def branches_from_loop(
             )
         if np.cov(u[on], y[on])[0, 1] < 0:
             raise InputError(
-                f"on the {name} branch the output falls where the input rises: change the sign "
+                f"on the {name} branch the output decreases where the input increases: change the "
+                f"sign "
                 "of one column"
             )
         curves.append(_inverse_curve(u[on], y[on]))

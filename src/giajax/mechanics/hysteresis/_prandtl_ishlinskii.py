@@ -57,7 +57,8 @@ class DeadZones(eqx.Module):
                 )
             if not bool(jnp.all(thresholds > 0)):
                 raise InputError(
-                    f"a threshold of the {name} dead zones is not positive: give distances from 0"
+                    f"a threshold of the {name} dead zones is not positive: give positive "
+                    f"distances from 0"
                 )
 
     def __call__(self, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
@@ -75,8 +76,8 @@ class DeadZones(eqx.Module):
         slopes = jnp.concatenate([self.slope[None], self.upper_slopes, self.lower_slopes])
         if is_concrete(slopes) and not bool(jnp.all(slopes >= 0) & jnp.any(slopes > 0)):
             raise InputError(
-                f"a dead zone has the slope {float(jnp.min(slopes)):.3g}, without an "
-                "inverse: make no slope negative, and one positive"
+                f"a dead zone has the slope {float(jnp.min(slopes)):.3g}, so that it has no "
+                f"inverse: make at least one slope positive and none negative"
             )
         # A jump is a piece that is very steep.
         least = _LEVEL * jnp.max(slopes)
@@ -142,7 +143,7 @@ class PrandtlIshlinskii(AbstractPlays):
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds, self.weights)
         if self.elements not in ELEMENTS:
-            raise InputError(f"there are no elements '{self.elements}': use play or stop")
+            raise InputError(f"unknown elements '{self.elements}': use play or stop")
 
     def of_plays(self) -> tuple[Scalar, PerThreshold]:
         """Elastic weight and weights of the same operator written with plays.
@@ -181,7 +182,8 @@ class PrandtlIshlinskii(AbstractPlays):
         slopes = jnp.concatenate([elastic[None], elastic + jnp.cumsum(weights)])
         if is_concrete(slopes) and not bool(jnp.all(slopes > 0)):
             raise InputError(
-                f"the slope of the loading curve falls to {float(jnp.min(slopes)):.3g}, which has "
+                f"the slope of the loading curve decreases to {float(jnp.min(slopes)):.3g}, which "
+                f"has "
                 "no inverse: fit with a positive elastic weight"
             )
         # The loading curve at each threshold, from the slope of each piece before it.

@@ -142,7 +142,7 @@ def _complaints(geometry: JointGeometry, angle: Shaped, *, inner: bool) -> list[
         return [
             (
                 wire_x >= wire / 2,
-                "D_x is not below half of L_wire, so that the wire cannot reach the bush: make "
+                "D_x is not less than half of L_wire, so that the wire cannot reach the bush: make "
                 "wire_length larger or wire_x smaller",
             ),
             (
@@ -154,7 +154,8 @@ def _complaints(geometry: JointGeometry, angle: Shaped, *, inner: bool) -> list[
     return [
         (
             2 * hypotenuse(wire_x, crossing - wire_y) > wire,
-            "the wire does not reach around the outer muscle, where it must be slack: make "
+            "the wire does not reach around the outer muscle, although the wire must be slack "
+            "there: make "
             "wire_length larger or contact_y smaller",
         ),
         (

@@ -19,10 +19,13 @@ REACHED, NEEDS_PUSH, NEEDS_PRESSURE, TOO_SHORT, PULLS_ANYWAY = range(5)
 
 _MEANING = {
     REACHED: "reached",
-    NEEDS_PUSH: "the muscle would have to push, which it cannot: raise the co-contraction torque",
-    NEEDS_PRESSURE: "it needs more than the pressure limit: give a smaller force or a wider muscle",
-    TOO_SHORT: "the muscle does not contract so far at any pressure: give a smaller contraction",
-    PULLS_ANYWAY: "its force is larger even without pressure: give a larger force",
+    NEEDS_PUSH: "the muscle would have to push, which is impossible: raise the co-contraction "
+    "torque",
+    NEEDS_PRESSURE: "the force requires a pressure above the limit: give a smaller force or a "
+    "wider muscle",
+    TOO_SHORT: "the muscle does not reach this contraction at any pressure: give a smaller "
+    "contraction",
+    PULLS_ANYWAY: "the force of the muscle is larger even at zero pressure: give a larger force",
 }
 
 
@@ -128,7 +131,9 @@ class Friction(eqx.Module):
 
     def __check_init__(self) -> None:
         if np.any(np.diff(self.pressures) <= 0) or not self.pressures:
-            raise InputError("the pressures of friction do not increase: sort them, each once")
+            raise InputError(
+                "the pressures of friction do not increase: sort them, and give each pressure once"
+            )
 
     @classmethod
     def at_pressures(cls, pressures: tuple[float, ...]) -> "Friction":
@@ -352,7 +357,7 @@ def _arrays(
     if length.ndim or (first.ndim and contraction.ndim and first.shape != contraction.shape):
         raise InputError(
             f"values have the shapes {first.shape}, {contraction.shape} and {length.shape}: give "
-            "arrays of one shape, or numbers, and one length"
+            f"arrays of the same shape, or single numbers, and one length"
         )
     shape = first.shape or contraction.shape
     return jnp.broadcast_to(first, shape), jnp.broadcast_to(contraction, shape), length
@@ -366,11 +371,11 @@ def _check(contraction: Array, length: Array, **others: Array) -> None:
             raise InputError(f"a {what} is not finite: give finite numbers")
     if bool(jnp.any(contraction >= 1)):
         raise InputError(
-            f"a contraction is {float(jnp.max(contraction)):g}, and at 1 nothing is left of the "
-            "muscle: give the fraction of its length at rest, not percent"
+            f"a contraction is {float(jnp.max(contraction)):g}, but must be less than 1: give the "
+            f"contraction as a fraction of the length at rest, not in percent"
         )
     if "pressure" in others and bool(jnp.any(others["pressure"] < 0)):
         raise InputError(
-            f"a pressure is {float(jnp.min(others['pressure'])):g} Pa: give the pressure above the "
-            "surroundings, 0 or more"
+            f"a pressure is {float(jnp.min(others['pressure'])):g} Pa: give the gauge pressure, "
+            f"which is at least 0"
         )

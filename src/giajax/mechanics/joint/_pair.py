@@ -115,8 +115,8 @@ def pair_command(
         if not bool(jnp.all(inside)):
             worst = float(jnp.rad2deg(angle.ravel()[jnp.argmin(inside)]))
             raise InputError(
-                f"the angle is {worst:.4g} deg, and a joint bends by at most 60 deg: give "
-                "radians, and a smaller angle"
+                f"the angle is {worst:.4g} deg, but a joint bends by at most 60 deg: give a "
+                f"smaller angle, in radians"
             )
         if not bool(jnp.all(jnp.isfinite(load) & jnp.isfinite(torque))):
             raise InputError("a load or co-contraction torque is not finite: give finite numbers")
@@ -271,8 +271,8 @@ def checked_pressures(pressures: npt.ArrayLike | Array) -> Float[Array, "2"]:
         )
     if is_concrete(pressures) and not bool(jnp.all((pressures >= 0) & jnp.isfinite(pressures))):
         raise InputError(
-            f"the pressures are {pressures.tolist()} Pa: give pressures above the surroundings, "
-            "finite and not negative"
+            f"the pressures are {pressures.tolist()} Pa: give finite gauge pressures that are not "
+            f"negative"
         )
     return pressures
 
@@ -321,7 +321,7 @@ def joint_spring(
     spring, converged = _spring(pair, pressures, load, near)
     if is_concrete((spring, converged)):
         shown = float(jnp.rad2deg(near))
-        remedy = "call equilibria, which lists them all"
+        remedy = "call equilibria, which returns all equilibria"
         same_side = float(spring.rest_angle) * float(near) > 0
         inside = abs(float(spring.rest_angle)) <= LARGEST_ANGLE * (1 + 1e-9)
         if not (bool(converged) and same_side and inside):

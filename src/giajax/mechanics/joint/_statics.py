@@ -372,14 +372,15 @@ def _check(joint: Joint, angle: Array, torque: Array, side: str | None) -> None:
     if bool(jnp.any(jnp.abs(angle) > jnp.pi / 2)):
         worst = float(jnp.rad2deg(angle.ravel()[jnp.argmax(jnp.abs(angle))]))
         raise InputError(
-            f"the bending angle is {worst:.4g} deg, and a joint bends by at most 90 deg: give "
+            f"the bending angle is {worst:.4g} deg, but a joint bends by at most 90 deg: give "
             "radians, not degrees"
         )
     wrong = {"inner": angle < 0, "outer": angle > 0}.get(side or "")
     if wrong is not None and bool(jnp.any(wrong)):
         at = float(jnp.rad2deg(angle.ravel()[jnp.argmax(wrong)]))
         raise InputError(
-            f"at {at:.4g} deg the muscle is not the {side} one: give no side, or the angle with "
+            f"at {at:.4g} deg the muscle is not on the {side} side: omit the side, or give the "
+            f"angle with "
             "the opposite sign"
         )
     check_geometry(joint.geometry, jax.device_get(angle))
