@@ -165,7 +165,7 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({"kind": "camera"}, r"there is a section \[camera\] already: give the model another kind"),
+        ({"kind": "camera"}, r"there already is a section \[camera\]: give the model another kind"),
         (
             {"channels": (ChannelKind("tip", "tip_x", "angle", "output"),)},
             "there is a channel tip_x already, the length 'tip_position': declare tip_x, the angle",
@@ -178,7 +178,11 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
             {"channels": (ChannelKind("fullness", "fullness", "litres", "output"),)},
             "the channel fullness has the unknown quantity 'litres': use time, angle",
         ),
-        ({"kind": property(lambda self: "kite")}, r"Balloon.kind is <property .*: make it a text"),
+        (
+            {"kind": property(lambda self: "kite")},
+            r"Balloon.kind is <property .*: make it a "
+            r"string",
+        ),
         ({"kind": "contents"}, "no section can be called 'contents': give the model another"),
         ({"kind": "my kite"}, "no section can be called 'my kite': give the model another"),
         ({"channels": ("height",)}, r"channels is \('height',\): make it a tuple of .*ChannelKind"),
@@ -188,7 +192,7 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
         ),
         (
             {"channels": row("aNN_bNN", "length")},
-            "the channel aNN_bNN is not a valid name: .* NN once",
+            "the channel aNN_bNN is not a valid name: .* NN at most once",
         ),
         ({"channels": row("time", "length")}, "the channel time of the row .* rename it"),
         ({"channels": row("cord", "length", "measured")}, "has no part 'measured' in a model: use"),

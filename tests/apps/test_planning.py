@@ -329,7 +329,7 @@ def test_a_plan_is_written_as_a_run_that_the_arm_follows(tmp_path, monkeypatch, 
         expected = np.interp(rehearsed.times, path["time_s"], path[f"tip_{axis}_m"])
         np.testing.assert_allclose(rehearsed.values[f"tip_{axis}"], expected, atol=2e-3)
     assert main(["plan", *words, "--out", "planned"]) == 2
-    assert "is not written over" in capsys.readouterr().err
+    assert "is not overwritten" in capsys.readouterr().err
 
 
 @pytest.mark.slow

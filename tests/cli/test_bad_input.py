@@ -96,7 +96,7 @@ CASES = {
                              '[arm.parameters]\n"joints.damping" = [0.1, "x"]',
                              ["arm.parameters.\"joints.damping\"",
                               "a finite number or a list of them"]),
-    "model unclear": ("force_N,torque_N_m\n1,1\n", None, ["do not say which model"]),
+    "model unclear": ("force_N,torque_N_m\n1,1\n", None, ["do not determine the model"]),
 }  # fmt: skip
 
 

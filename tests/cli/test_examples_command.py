@@ -60,7 +60,9 @@ def test_nothing_is_written_over_without_force(tmp_path, capsys):
 def test_a_folder_that_is_a_file(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert main(["examples", "--copy", str(tmp_path / "file")]) == 2
-    assert "is a file, but a folder is written: give another one" in capsys.readouterr().err
+    assert (
+        "is a file, but the output must be a folder: give another name" in capsys.readouterr().err
+    )
 
 
 def test_an_installed_package_has_them_inside(tmp_path, monkeypatch):

@@ -48,7 +48,7 @@ def test_it_writes_what_it_says(tmp_path, capsys):
     assert facts["finished"]
     assert facts["filling"]["port_diameter_mm"] == [8.0, 9.0]
     assert facts["imbalance"] < 1e-10
-    assert "note: 3 of 3 links bear less than the 50.1 N" in printed
+    assert "note: 3 of 3 links withstand less than the 50.1 N" in printed
     assert facts["collapse"] in printed
     assert f"full after {facts['duration_s'] / 60:.2f} min" in printed
     assert facts["links"]["link03"]["full_s"] == facts["duration_s"]
@@ -67,7 +67,7 @@ def test_it_writes_what_it_says(tmp_path, capsys):
     assert np.all(np.diff(flows) < 0)
     assert np.all(np.diff(diameters) > 0)
     assert facts["curve"]["supply"] == "supply.pressure"
-    refused(capsys, command[1:], "exists and is not written over")
+    refused(capsys, command[1:], "exists and is not overwritten")
 
 
 def test_options_change_what_is_printed(tmp_path, capsys):

@@ -198,4 +198,4 @@ def test_the_experiment_writes_its_figure_and_numbers(tmp_path, capsys):
     command = ["compensate", str(out), "--target", target]
     assert main([*command, "--to", str(tmp_path / "command.csv")]) == 0
     capsys.readouterr()
-    refused(capsys, ["hysteresis", "--out", str(out)], "exists and is not written over")
+    refused(capsys, ["hysteresis", "--out", str(out)], "exists and is not overwritten")

@@ -180,7 +180,7 @@ def test_a_name_of_a_file_is_no_folder(tmp_path, capsys, name):
     assert out == ""
     # Before anything is computed.
     assert "solving" not in err
-    assert "a folder is written" in err
+    assert "the output must be a folder" in err
     assert not (tmp_path / "run.csv").exists()
 
 

@@ -178,7 +178,7 @@ def test_a_broken_link_is_no_missing_sidecar(tmp_path, capsys):
     assert "run.toml is a link to a file that does not exist" in refused(
         capsys, "check", "--data", run
     )
-    assert "exists and is not written over" in refused(capsys, "init", "--data", run)
+    assert "exists and is not overwritten" in refused(capsys, "init", "--data", run)
 
 
 def test_a_definition_cannot_name_what_no_file_is_called(tmp_path, capsys):
@@ -213,7 +213,7 @@ def test_nothing_is_written_through_a_link(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
 
     path.symlink_to(other)
-    with pytest.raises(InputError, match="exists and is not written over"):
+    with pytest.raises(InputError, match="exists and is not overwritten"):
         write_files({path: b"new"}, force=False)
     write_files({path: b"new"}, force=True)
     assert not path.is_symlink()

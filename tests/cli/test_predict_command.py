@@ -129,7 +129,7 @@ def test_without_on_the_command_line(filmed):
     assert all(float(row.split()[4]) < 1.5 * NOISE for row in out.splitlines()[1:])
     status, _, error = giajax(*asked, "cam")
     assert status == 2
-    assert "nothing called 'cam': give air, base_rotation, camera" in error
+    assert "no parameter or group called 'cam': give air, base_rotation, camera" in error
     assert error.count("\n") == 1
 
 

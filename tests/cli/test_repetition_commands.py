@@ -39,7 +39,7 @@ def test_a_fit_is_repeated_and_the_files_lie_beside_it(folder, capsys):
     assert (folder / "bootstrap.png").read_bytes()[:4] == b"\x89PNG"
     # Nothing is written over; and what was done is there for another file.
     assert bootstrap(folder, "--size", "3") == 2
-    assert "exists and is not written over" in capsys.readouterr().err
+    assert "exists and is not overwritten" in capsys.readouterr().err
     options = ["--folder", str(kept), "--out", str(folder / "again"), "--no-figures", "--json"]
     assert bootstrap(folder, "--size", "3", *options) == 0
     again = folder / "again" / "bootstrap.json"
@@ -57,7 +57,7 @@ def test_what_spans_do_is_told_and_drawn(folder, capsys):
     assert found.parts[0].name in printed
     assert (folder / "influence.png").read_bytes()[:4] == b"\x89PNG"
     assert main(words) == 2
-    assert "exists and is not written over" in capsys.readouterr().err
+    assert "exists and is not overwritten" in capsys.readouterr().err
 
 
 def test_a_self_test_is_written_beside_the_result_or_says_why_not(

@@ -59,7 +59,7 @@ def test_a_page_of_someones_own_stays(fit, tmp_path, capsys):
 def test_a_place_that_takes_no_page_is_told_before_the_fit(tmp_path, capsys):
     run = ["fit", "--data", str(DATA / "muscle.csv"), "--report", "--force", "--out"]
     assert main([*run, str(tmp_path / "page.html")]) == 2
-    assert "is the name of a file" in capsys.readouterr().err
+    assert "is a file" in capsys.readouterr().err
     (tmp_path / "fit" / "report.html").mkdir(parents=True)
     assert main([*run, str(tmp_path / "fit")]) == 2
     assert "is a folder" in capsys.readouterr().err

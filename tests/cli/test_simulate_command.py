@@ -204,7 +204,7 @@ def test_what_is_written_of_an_own_arm_begins_at_that_arm(out, tmp_path, capsys)
     assert float(get(model, "joints.damping")) == 0.05
     assert np.allclose(bodies(model.arm).mass, 0.1)
     (sentence,) = model.conditions(["joints.damping"], [run])
-    assert "with the mass of link 1, 2 in its points" in sentence
+    assert "the mass of link 1, 2 is given by its structural point masses" in sentence
     assert "links.mass" not in sentence
     paper = simulate(tmp_path / "paper.csv", *SHORT, "--ramp", "1=10", "--channels", "link02_z")
     assert paper.definition.arm.preset == "takeichi_20m"

@@ -57,7 +57,7 @@ def test_a_file_that_states_a_model_is_true(run, tmp_path):
         (["--noise", "position_m"], "KEY=VALUE"),
         (["--noise", "height=1"], "height"),
         (["--noise", "angle_deg=1"], "none of the recorded channels"),
-        (["--set", "camera.origin=1,2"], "2 values and has 3 elements"),
+        (["--set", "camera.origin=1,2"], "2 values, but has 3 elements"),
         (["--set", "camera.delay=50"], "outside its bounds"),
         (["--outliers", "5"], "fraction and a size"),
         (["--missing", "100"], "fraction missing is 1"),
@@ -75,5 +75,5 @@ def test_one_sentence(run, tmp_path, capsys, options, words):
 def test_nothing_is_written_over(run, capsys):
     before = run.read_text()
     assert main(["synth", "--data", str(run), "--to", str(run)]) == 2
-    assert "not written over" in capsys.readouterr().err
+    assert "not overwritten" in capsys.readouterr().err
     assert run.read_text() == before

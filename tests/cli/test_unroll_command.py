@@ -59,7 +59,7 @@ def test_it_writes_what_it_says(tmp_path, capsys):
     with (out / "filling.csv").open() as file:
         filled = next(csv.DictReader(file))
     assert float(filled["supplied_kg"]) == pytest.approx(facts["gas_kg"])
-    refused(capsys, command[1:], "exists and is not written over")
+    refused(capsys, command[1:], "exists and is not overwritten")
 
 
 def test_options_change_what_is_printed(tmp_path, capsys):

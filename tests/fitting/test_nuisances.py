@@ -105,7 +105,7 @@ def test_an_array_is_off_as_a_whole_or_element_by_element(recorded):
         ({"links.mass": [0.1, 0.1]}, "has 2 values, and it has 4"),
         ({"camera.delay": -0.1}, r"'camera.delay' must be a standard deviation"),
         ({"camera.delay": "late"}, r"'camera.delay' must be a standard deviation"),
-        ({"links.mass": 0.1, "links.mass[1]": 0.2}, "state a list of all"),
+        ({"links.mass": 0.1, "links.mass[1]": 0.2}, "state a list for all"),
         ({"joints.friction": 0.01}, "leaves out: state its value, too"),
         ({"defaults": "no"}, "must be true or false"),
     ],

@@ -136,8 +136,14 @@ def test_the_boxes_of_a_wall_fill_it_but_for_the_opening():
 @pytest.mark.parametrize(
     ("build", "sentence"),
     [
-        (lambda: Box(size=[1.0, 0.0, 1.0]), "'box' has no extent: give three positive sizes"),
-        (lambda: Plane(normal=[0.0, 0.0, 0.0]), "'ground' has no normal: give it a direction"),
+        (
+            lambda: Box(size=[1.0, 0.0, 1.0]),
+            "'box' has a size that is not positive: give three positive sizes",
+        ),
+        (
+            lambda: Plane(normal=[0.0, 0.0, 0.0]),
+            "'ground' has a normal of zero: give a vector that is not zero",
+        ),
         (lambda: WallWithOpening(margins=[1.0, 1.0, 0.0, 1.0]), "give positive sizes"),
     ],
 )

@@ -169,7 +169,9 @@ def test_a_clock_that_is_off_leaves_the_prediction_and_is_a_condition(run):
         np.testing.assert_allclose(again[name], seen[name], atol=1e-4)
 
     def said(model, runs, free):
-        return [each for each in model.conditions(free, runs) if "seconds of the stamps" in each]
+        return [
+            each for each in model.conditions(free, runs) if "seconds of the time stamps" in each
+        ]
 
     (sentence,) = said(model, [run], free)
     assert "joints.pitch_stiffness, joints.yaw_stiffness 1 / r^2 and joints.damping 1 /" in sentence
@@ -313,7 +315,9 @@ def test_runs_that_disagree_about_the_arm_are_refused(run):
 def test_the_wind_of_a_link_that_there_is_not_is_refused():
     values = {"joint01_command": 0 * TIMES, "link05_wind_x": 0 * TIMES + 0.1}
     windy = Run.from_arrays(TIMES, values)
-    with pytest.raises(InputError, match="has the wind of link 5, but the arm has 4 links"):
+    with pytest.raises(
+        InputError, match="has a wind column for link 5, but the arm has only 4 links"
+    ):
         truth_model().prepare(windy)
 
 

@@ -148,7 +148,7 @@ def test_a_wind_that_jumps_is_refused_where_added_mass_is_on():
         model = giajax.model_for([run])
         if jumps:
             with pytest.raises(
-                InputError, match=r"the wind jumps, .* \(interpolation = \"linear\""
+                InputError, match=r"the wind is discontinuous, .* \(interpolation = \"linear\""
             ):
                 model.prepare(run)
         else:

@@ -169,7 +169,7 @@ def test_an_impossible_geometry_is_a_failed_prediction():
     predicted, successful = model.predict(inputs, ("force",))
     assert not bool(successful)
     assert jnp.isnan(predicted["force"][0])
-    assert "D_x is not below" in model.failure(inputs)
+    assert "D_x is not less than" in model.failure(inputs)
     # A wire too short for the other side may be passed through, but is told.
     short = JointModel(Joint(JointGeometry(wire_length=0.25)))
     assert bool(short.predict(inputs, ("force",))[1])

@@ -73,7 +73,7 @@ def test_each_key_changes_the_arm():
     assert arm_of({"links": 2, "muscles": "all"}).pneumatics.joints == (1, 2)
     for key, value in keys.items():
         assert not eqx.tree_equal(arm_of({"links": 2, "muscles": "pitch", key: value}), plain)
-        with pytest.raises(InputError, match=f"states {key}, but no joints with muscles"):
+        with pytest.raises(InputError, match=f"states {key}, but no joint has muscles"):
             arm_of({"links": 2, key: value})
     with pytest.raises(InputError, match="pressure_limit"):
         arm_of({"links": 2, "muscles": "all", "parameters": {"muscle.pressure_limit": -1.0}})

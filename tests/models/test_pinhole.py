@@ -238,8 +238,12 @@ def test_what_leaves_the_picture_is_missing_and_what_was_behind_is_named():
     [
         ("link02_u", {}, "no camera is described: give [camera.NAME]"),
         ("top.link02_u", {"side": SIDE}, "must be side, so correct the name or give [camera.top]"),
-        ("link02_u", {"side": SIDE, "tip": TIP}, "begin its name with that of a camera, side or"),
-        ("side.mark02_v", {"side": SIDE}, "say where it is in [landmark.mark02]"),
+        (
+            "link02_u",
+            {"side": SIDE, "tip": TIP},
+            "begin the name of the channel with the name of a camera, side or",
+        ),
+        ("side.mark02_v", {"side": SIDE}, "state its position in [landmark.mark02]"),
         ("side.tip_u", {"side": {"mount": "room"}}, "[camera.side] does not state size_px"),
         ("side.tip_u", {"side": {**TIP, "mount": "room", "rotation_deg": None}}, "rotation_deg"),
     ],
@@ -268,7 +272,7 @@ def test_what_a_camera_must_say(channel, cameras, says):
         ({"camera": {"side": {"focal_length_px": -9.0}}}, "focal_length_px = -9.0"),
         ({"camera": {"side": {"mount": "link6"}}}, 'must be "room", "tip" or a link'),
         ({"camera": {"delay": {"mount": "tip"}}}, "has a camera 'delay'"),
-        ({"camera": {"a b": {"mount": "tip"}}}, "has letters, digits and _"),
+        ({"camera": {"a b": {"mount": "tip"}}}, "must have letters, digits and _"),
         ({"camera": {"side": 3}}, "[camera.side] must be a table of keys"),
         ({"landmark": {"door": {"position_m": [0.0, 0.0, 0.0]}}}, "called mark01, mark02"),
         ({"landmark": {"mark01": {}}}, "give mark01.position_m"),

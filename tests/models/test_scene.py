@@ -119,10 +119,10 @@ def test_what_has_no_shape_has_no_scene():
 
 def test_parts_that_do_not_fit_together_are_refused():
     points = np.zeros((4, 2, 3))
-    with pytest.raises(InputError, match="give a radius to each point"):
+    with pytest.raises(InputError, match="give one radius for each point"):
         Line("link", points, np.zeros(3))
     line = Line("link", points, np.zeros(2))
-    with pytest.raises(InputError, match="give all of them as many"):
+    with pytest.raises(InputError, match="give all parts the same number of samples"):
         Scene((line,), {"tip": np.zeros((3, 3))})
 
 

@@ -129,7 +129,9 @@ def test_accelerations_and_torques_are_those_of_a_simulated_motion():
     parts = (motion.angles[1], motion.rates[1], motion.commands[1], motion.memory[1])
     assert np.allclose(motion.torques[1], giajax.mechanics.arm.joint_torque(arm, *parts))
     forgetful = dataclasses.replace(motion, memory=None)
-    with pytest.raises(InputError, match="its joints remember and it does not: simulate it"):
+    with pytest.raises(
+        InputError, match=r"they depend on the history of the joints, .*: call simulate"
+    ):
         _ = forgetful.accelerations
 
 
@@ -357,8 +359,8 @@ def test_a_sensor_with_a_delay_shows_what_was_so_much_earlier():
     ("wrong", "said"),
     [
         (gauge(values=AbstractSensor.values), "Gauge has no values: write it"),
-        (gauge(channel=None), r"Gauge.channel is None: make it the row of its columns"),
-        (gauge(row=("gauge", "gaugeNN", "ratio", "input")), "ChannelKind whose part is .output."),
+        (gauge(channel=None), r"Gauge.channel is None: make it a giajax.schema.ChannelKind"),
+        (gauge(row=("gauge", "gaugeNN", "ratio", "input")), "ChannelKind with the part .output."),
         (gauge(row=("tip_position", "tip_x", "length", "output")), "of Gauge is that of giajax"),
         (gauge(row=("imu_rate", "imuNN_gyro_x", "angle", "output")), "is that of gyroscope"),
         (gauge(row=("gauge", "tip_x", "ratio", "output")), "there is a channel tip_x already"),
@@ -424,7 +426,8 @@ def test_a_sensor_that_no_result_could_name_is_refused():
     [
         (
             lambda self, motion: motion.torques[:, 0],
-            r"values returns the shape \(1,\) for one sample of 2 links: return \(1, 2\), as gauge",
+            r"values returns the shape \(1,\) for one sample and an arm of 2 links: return \(1, "
+            r"2\), as gauge",
         ),
         (lambda self, motion: None, "values returns the shape None"),
         (lambda self, motion: motion.strains, "values fails .*has no attribute 'strains'"),

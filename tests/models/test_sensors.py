@@ -438,7 +438,7 @@ def test_lists_of_another_length_are_refused():
 def test_what_the_sensors_are_conditional_on_is_said():
     sentences = model(**EACH).conditions(["camera.scale", "camera.delay", "encoder.offset"], [])
     assert any(s.startswith("camera.scale: holds for links.length = 0.99 m") for s in sentences)
-    assert any(s.startswith("camera.delay: counted from the clock") for s in sentences)
+    assert any(s.startswith("camera.delay: relative to the clock") for s in sentences)
     assert any(s.startswith("encoder.offset: counted from") for s in sentences)
     assert model(**EACH).conditions(["camera.rotation[0]"], []) == []
 
@@ -447,7 +447,7 @@ def test_a_first_row_read_by_a_sensor_that_is_fitted_is_said():
     def told(path="encoder.scale", **initial):
         sentences = model(**EACH).conditions([path], [run_of(initial=initial)])
         return any(
-            "the state in the first row was read with the start value" in s for s in sentences
+            "the state in the first row was computed with the start value" in s for s in sentences
         )
 
     assert told(first_row=True)

@@ -230,7 +230,7 @@ def test_what_both_models_would_say_is_asked_of_each(files):
     assert finer.integration() == ("tsit5", 1e-9)
     assert finer.parts[1] is model.parts[1]
     assert "arm.drag = strip" in model.variants()
-    with pytest.raises(InputError, match="there is no joint model here"):
+    with pytest.raises(InputError, match="the combined model has no joint part"):
         model.part("joint")
     joint = dataclasses.replace(model, parts=model.parts[1:])
     with pytest.raises(InputError, match="neither a solver nor a tolerance"):

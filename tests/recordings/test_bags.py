@@ -172,7 +172,7 @@ def test_a_bad_bag_is_one_sentence(tmp_path, monkeypatch):
         ("text.db3", {}, "file is not a database"),
         ("gone.mcap", {}, "gone.mcap fails (FileNotFoundError"),
         ("bag", {"axes": ("x", "-y")}, "--axes changes nothing in this table of ROS 2: leave it"),
-        ("bag", {"frame_rate": 5.0}, "a bag has its own times: leave out --frame-rate"),
+        ("bag", {"frame_rate": 5.0}, "a bag contains its own time stamps: omit --frame-rate"),
     ]:
         with pytest.raises(InputError) as caught:
             read_foreign(tmp_path / name, ImportSettings(**how))
@@ -249,17 +249,18 @@ ENDLESS = (
 )
 FILES = {
     "unpacks to more than 100 times": mcap(topic(), chunk(bytes(1 << 25)), GOOD),
-    "has parts of more than 134,217,728 bytes": mcap(topic(), chunk(b"", size=1 << 40), GOOD),
-    "other than its 100 bytes": mcap(topic(), chunk(bytes(1 << 25), size=100), GOOD),
-    "is packed by 'tars'": mcap(topic(), chunk(GOOD).replace(b"zstd", b"tars")),
+    "has chunks of more than 134,217,728 bytes": mcap(topic(), chunk(b"", size=1 << 40), GOOD),
+    "is not the stated 100 bytes": mcap(topic(), chunk(bytes(1 << 25), size=100), GOOD),
+    "is compressed with 'tars'": mcap(topic(), chunk(GOOD).replace(b"zstd", b"tars")),
     "is cut off": mcap(topic(), b"\x05" + b"\xff" * 8, GOOD),
     "is not a complete MCAP file": mcap(topic(), GOOD)[:-30],
-    "has 2 messages, but says 5": mcap(
+    "has 2 messages, but states that it has 5": mcap(
         topic(), GOOD, end=record(11, struct.pack("<QHIIIIQQ", 5, 1, 1, 0, 0, 0, 0, 1), bytes(4))
     ),
-    "has channel 1 for two topics": mcap(topic(), GOOD, end=topic().replace(b"/j", b"/k")),
-    "has records of 7, which is not a channel or schema": mcap(topic(), told(0, [], number=7)),
-    "has records of 9, which is not a channel": mcap(
+    "uses channel 1 for two topics": mcap(topic(), GOOD, end=topic().replace(b"/j", b"/k")),
+    "has records that refer to 7, which is not a channel or "
+    "schema": mcap(topic(), told(0, [], number=7)),
+    "has records that refer to 9, which is not a channel": mcap(
         record(4, b"\1\0\x09\0", "/j", "cdr", bytes(4)), GOOD
     ),
     "more than 10,000 series": mcap(topic(), *(told(i, [f"n{i}"], [1.0]) for i in range(10_001))),
@@ -268,13 +269,13 @@ FILES = {
     "/j/a twice": mcap(topic(), told(0, ["a", "a"], [1.0, 2.0])),
     "has 2 names but 1 values of position": mcap(topic(), told(0, ["a", "b"], [1.0])),
     "/j/a is inf in a message": mcap(topic(), told(0, ["a"], [np.inf])),
-    "was received at 18446744073709551615": mcap(topic(), told(0, ["a"], [1.0], at=2**64 - 1)),
+    "has the receipt time 18446744073709551615": mcap(topic(), told(0, ["a"], [1.0], at=2**64 - 1)),
     "have another JointState than that of ROS 2": mcap(topic(TURNED), GOOD),
     "of /j have another JointState": mcap(
         topic(), GOOD, topic(TURNED, number=2), told(2, ["a"], number=2)
     ),
     "another JointState": mcap(topic(f"JointState[] more\n{DEFINITION}"), GOOD),
-    "but must be in cdr": mcap(topic(form="json"), GOOD),
+    "but must be encoded as cdr": mcap(topic(form="json"), GOOD),
     "are in 'json', but": mcap(topic(), GOOD, topic(form="json", number=2), told(2, [], number=2)),
     f"messages of /j are {JOINTS} and {POSE}": mcap(
         topic(), GOOD, topic("", number=2, kind=POSE), told(2, ["a"], number=2)
@@ -282,40 +283,44 @@ FILES = {
     "reading a message of /j in": mcap(topic(), told(0, data=DATA[:20] + b"\xff" * 4 + DATA[24:])),
     "has more than 4,194,304 bytes": mcap(topic(), chunk(told(0, data=DATA.ljust(1 << 22) + DATA))),
     "has more than 16,777,216 numbers": mcap(chunk(LONG + 5_000 * EMPTY)),
-    "has messages of ROS 1, /j (sensor_msgs/JointState): convert": mcap(
+    "has ROS 1 messages, /j (sensor_msgs/JointState): convert": mcap(
         topic("", form="ros1", kind="sensor_msgs/JointState", said="ros1msg"), GOOD
     ),
-    f"has no messages, or empty ones, of /j ({JOINTS})": mcap(topic(), told(0, [])),
+    f"has no messages, or only empty messages, of the topics /j "
+    f"({JOINTS})": mcap(topic(), told(0, [])),
     "has damaged data": mcap(topic(), GOOD, checked=True).replace(b"\xf0\x3f", b"\xf0\x3e"),
 }  # fmt: skip
 SCRIPTS = {
-    "has no plain table messages": f"DROP TABLE messages; CREATE VIEW messages AS {ENDLESS}",
-    "no plain table messages": "DROP TABLE messages; CREATE TABLE messages(id, topic_id, timestamp,"
+    "has no ordinary table messages": f"DROP TABLE messages; CREATE VIEW messages AS {ENDLESS}",
+    "no ordinary table messages": "DROP TABLE messages; CREATE TABLE messages(id, topic_id, "
+    "timestamp,"
     " data AS (zeroblob(900000000)))",
-    "no plain table message_definitions": "DROP TABLE message_definitions; CREATE VIEW"
+    "no ordinary table message_definitions": "DROP TABLE message_definitions; CREATE VIEW"
     f" message_definitions AS SELECT '{JOINTS}' AS topic_type, 'ros2msg' AS encoding, hex(data) AS"
     f" encoded_message_definition FROM ({ENDLESS})",
-    "plain table message_definitions": "DROP TABLE message_definitions; CREATE TABLE"
+    "ordinary table message_definitions": "DROP TABLE message_definitions; CREATE TABLE"
     f" Message_Definitions(topic_type, encoding, encoded_message_definition AS (hex(topic_type)));"
     f" INSERT INTO message_definitions VALUES ('{JOINTS}', 'ros2msg')",
     f"two definitions of {JOINTS}": "INSERT INTO message_definitions SELECT 9, topic_type,"
     f" encoding, 'float64 x', '' FROM message_definitions WHERE topic_type = '{JOINTS}'",
     f"messages of /j are {JOINTS} and {POSE}": "INSERT INTO topics SELECT 9, name,"
     f" '{POSE}', 'cdr', '', '' FROM topics LIMIT 1; UPDATE messages SET topic_id = 9 WHERE id = 2",
-    "are in 'json', but must be in cdr": "INSERT INTO topics SELECT 9, name, type, 'json',"
+    "are in 'json', but must be encoded as cdr": "INSERT INTO topics SELECT 9, name, type, 'json',"
     " '', '' FROM topics LIMIT 1; UPDATE messages SET topic_id = 9 WHERE id = 2",
-    "has a topic twice": "ALTER TABLE topics RENAME TO t; CREATE TABLE topics AS SELECT * FROM t;"
+    "contains a topic twice": "ALTER TABLE topics RENAME TO t; CREATE TABLE topics AS SELECT * "
+    "FROM t;"
     " INSERT INTO topics SELECT * FROM t",
     # Columns that no row has, and of which none may be empty.
-    "takes much longer to read than its size says": "DROP TABLE messages; CREATE TABLE messages(id,"
+    "takes much longer to read than its size suggests": "DROP TABLE messages; CREATE TABLE "
+    "messages(id,"
     " topic_id, timestamp, data); WITH RECURSIVE c(x) AS (SELECT 9 UNION ALL SELECT x + 1 FROM c"
     " WHERE x < 20000) INSERT INTO messages SELECT x, 1, 0, x'' FROM c;"
     " PRAGMA writable_schema = ON; UPDATE sqlite_master SET sql = 'CREATE TABLE messages(id,"
     " topic_id, timestamp, data, "
     + ", ".join(f"c{n} NOT NULL DEFAULT 0" for n in range(1_500))
     + ")' WHERE name = 'messages'",
-    "1 messages of no topic": "UPDATE messages SET topic_id = 9 WHERE id = 2",
-    "was received at 'soon'": "UPDATE messages SET timestamp = 'soon'",
+    "1 messages that belong to no topic": "UPDATE messages SET topic_id = 9 WHERE id = 2",
+    "has the receipt time 'soon'": "UPDATE messages SET timestamp = 'soon'",
     "has a message without data": "UPDATE messages SET data = 'hello'",
     "too big": "UPDATE messages SET data = zeroblob(300000000) WHERE id = 1",
     "more than 10,000 topics": "WITH RECURSIVE c(x) AS (SELECT 9 UNION ALL SELECT x + 1 FROM c"
@@ -388,10 +393,10 @@ def test_pages_of_a_database_that_are_in_each_other_end(tmp_path):
 @pytest.mark.quick
 def test_files_of_a_bag_are_in_its_folder_and_are_files(tmp_path):
     for number, (listed, says) in enumerate([
-        ("- ../../etc/passwd", "must have relative_file_paths once"),
-        ("- ..", "must have relative_file_paths once"),
+        ("- ../../etc/passwd", "must contain relative_file_paths once"),
+        ("- ..", "must contain relative_file_paths once"),
         ("- ../bag/bag.db3", "6/bag.db3 fails (FileNotFoundError"),
-        ("- bag.db3\nrelative_file_paths:\n- bag.db3", "must have relative_file_paths once"),
+        ("- bag.db3\nrelative_file_paths:\n- bag.db3", "must contain relative_file_paths once"),
         ("- gone.db3", "gone.db3 fails (FileNotFoundError"),
         ("- pipe.db3", "is a pipe, but must be a file"),
         ("- zero.db3", "is a device, but must be a file"),
@@ -550,7 +555,9 @@ def test_files_are_unpacked_one_after_the_other_where_there_is_space(tmp_path, m
     assert there == [0, 0, 0]
     monkeypatch.setattr(Path, "open", lambda *_: opened(Path("/dev/full"), "wb"))
     with pytest.raises(
-        InputError, match=r"0\.mcap\.zstd is not unpacked, no space in .*space: set"
+        InputError,
+        match=r"0\.mcap\.zstd cannot be decompressed, because no space is left in "
+        r".*space: set",
     ):
         read_foreign(path)
     assert not list((tmp_path / "space").iterdir())

@@ -112,7 +112,7 @@ def test_named_takes_the_channel_without_its_unit():
     assert Channel.named("joint01_angle", "deg").column == "joint01_angle_deg"
     assert Channel.named("pressure").unit == "kPa"  # the table has no column in Pa
     assert Channel.named("output", "N").quantity == "force"
-    with pytest.raises(InputError, match="SI units here: call it 'link06_z'"):
+    with pytest.raises(InputError, match="SI units: rename it to 'link06_z'"):
         Channel.named("link06_z_m")
     with pytest.raises(InputError, match="did you mean 'link06_z'"):
         Channel.named("lnk06_z")

@@ -125,7 +125,7 @@ def test_lists_of_an_own_arm_say_how_many_links_it_has():
 def test_assumed_muscles_of_an_own_arm_are_said():
     arm = {"preset": "chain", "muscles": "pitch", "parameters": {"geometry.anchor_x": 0.4}}
     run = Run.from_arrays([0.0, 1.0], {"joint01_command": [0.0, 1.0]}, definition={"arm": arm})
-    (note,) = (note for note in describe(run)["notes"] if note.startswith("muscles as"))
+    (note,) = (note for note in describe(run)["notes"] if note.startswith("muscles assumed as"))
     assert "geometry.anchor_y" in note
     assert "geometry.anchor_x" not in note
 
@@ -137,7 +137,7 @@ def test_winds_of_some_links_are_told():
         winds = {name: [0.0, 0.1] for name in names[:count]}
         run = Run.from_arrays(times, {"joint01_command": times, **winds}, definition=definition)
         notes = "\n".join(describe(run)["notes"])
-        assert ("wind of links or along axes that are not recorded" in notes) == told
+        assert ("wind not recorded for all links and axes" in notes) == told
 
 
 def test_text_channels_are_counted():
@@ -151,7 +151,7 @@ def test_text_channels_are_counted():
 def test_what_a_joint_or_a_muscle_assumes_is_told():
     joint = Run.from_arrays(None, {"angle": [0.1], "side": ["inner"], "force": [1.0]})
     told = " ".join(describe(joint)["notes"])
-    assert "the geometry that giajax assumes" in told
+    assert "the default geometry of giajax" in told
     assert "torque not recorded: 0.3 N m" in told
     channels = {"pressure": [1e5], "contraction": [0.1], "phase": ["fill"], "force": [1.0]}
     muscle = Run.from_arrays(None, channels)

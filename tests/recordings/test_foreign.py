@@ -176,19 +176,22 @@ def test_a_file_is_known_by_its_content(tmp_path, name):
         (TRACKER.replace("4.000000E-2", "no"), {"unit": "m"}, "column 't' has 'no' in row 5"),
         (TRACKER.replace("\ttip of it", "\telbow"), {"unit": "m"}, "two points that are called"),
         (TRACKER.replace("\t2.000000E-1", ""), {"unit": "m"}, "row 5 has 4 cells"),
-        (SLEAP.replace("arm,3", "arm,1"), {"frame_rate": 1.0}, "'arm' has a picture twice"),
+        (SLEAP.replace("arm,3", "arm,1"), {"frame_rate": 1.0}, "'arm' has two instances in one "
+            "picture"),
         (SLEAP.replace("100.5", "1_0"), {"frame_rate": 1.0}, "column 'elbow.x' has '1_0' in row 2"),
-        (SLEAP, {}, "SLEAP counts frames: give --frame-rate"),
+        (SLEAP, {}, "SLEAP gives frame numbers instead of times: give --frame-rate"),
         (ANIPOSE.replace("1001.0", "x"), {"frame_rate": 1.0, "unit": "m"}, "has 'x' in row 3"),
         (ANIPOSE.replace("end_y,", "_y,"), {"frame_rate": 1.0, "unit": "m"}, "no columns x and y"),
         (MOTIVE.replace("Frame,Time", "Time"), {}, "is not a file of OptiTrack Motive"),
-        (MOTIVE.replace("1,0.008333", "1,0.0"), {}, "must follow each other in time"),
+        (MOTIVE.replace("1,0.008333", "1,0.0"), {}, "must increase from row to row"),
         (MOTIVE.replace("101.0,201.0", "101.0"), {}, "row 9 has 12 cells"),
         (MOTIVE.replace("1,0.008333", "1,"), {}, "but row 9 has no time: give it one"),
         (MOTIVE.replace("1,0.008333", "1,-1"), {}, "but row 9 goes back in time: sort"),
-        (MOTIVE.replace("1,0.008333", "1,0"), {}, "but row 9 has the time of the row before"),
+        (MOTIVE.replace("1,0.008333", "1,0"), {}, "but row 9 has the same time as the previous "
+            "row"),
         (SLEAP.replace("arm,1", "arm,"), {"frame_rate": 1.0}, "but row 3 has no time"),
-        (KINOVEA.replace("80 -6", "40 -6"), {"unit": "m"}, "but row 11 has the time of the row"),
+        (KINOVEA.replace("80 -6", "40 -6"), {"unit": "m"}, "but row 11 has the same time as the "
+            "previous row"),
         (KINOVEA.replace("# tip", "# elbow"), {"unit": "m"}, "two points that are called 'elbow'"),
         (ANIPOSE.replace("1001.0", '"1,001"'), {"frame_rate": 1.0, "unit": "m"},
          "row 3 has '1,001', but other numbers have a decimal point"),
@@ -217,8 +220,8 @@ def test_a_file_is_known_by_its_content(tmp_path, name):
         (COLUMNS, {"rename": {"t": "time_s"}}, "'z of tip' is not in the column table"),
         (COLUMNS, {"rename": {"t": "time_s", "T": "tip_z_m"}}, "has no column 'T'"),
         ("a,b\n1,2\n", {}, "DeepLabCut (the rows scorer, bodyparts and coords); SLEAP"),
-        ("\x89PNG\r\n\x1a\n\0\0", {}, "is not a table that can be read: DeepLabCut"),
-        ("", {}, "is not a table that can be read"),
+        ("\x89PNG\r\n\x1a\n\0\0", {}, "is in none of the formats that can be read: DeepLabCut"),
+        ("", {}, "is in none of the formats that can be read"),
         ("q," * 100_001 + "q", {}, "has 100,002 cells in a row, but may have 100,000 at most"),
         (DEEP, {"frame_rate": 1.0, "unit": "inch"}, "the unit of a length is 'inch'"),
         (DEEP, {"frame_rate": 1.0, "unit": "m", "axes": ("x", "z")}, "has 3 coordinates, but"),
@@ -268,7 +271,7 @@ def test_options_cut_shift_turn_and_choose(tmp_path, capsys):
         (TRACKER, ["--only", "nose"], "--only nose is not one of"),
         (TRACKER, ["--from-time", "9"], "no row is between 9 and inf s"),
         (TRACKER, ["--point", "elbow=imu01"], "'elbow' twice"),
-        (TRACKER.replace("1.200000E-1", "1.000000E-1"), ["--frame-rate", "9"], "in even steps"),
+        (TRACKER.replace("1.200000E-1", "1.000000E-1"), ["--frame-rate", "9"], "not evenly spaced"),
     ]:
         capsys.readouterr()
         assert imported(tmp_path, text, *plain, *wrong) == 2
@@ -320,14 +323,15 @@ def test_what_drives_and_stands_in_the_table_is_known_at_the_other_times(tmp_pat
 @pytest.mark.parametrize(
     ("text", "parts", "says"),
     [
-        (PHYPHOX, {"Gyroscope": "link01"}, "of which no rates are recorded: call it imu06"),
-        (MOTIVE, {"Arm": "imu01"}, "of which no position is recorded: call it link06 or tip"),
+        (PHYPHOX, {"Gyroscope": "link01"}, "for which no rates are recorded: name it imu06"),
+        (MOTIVE, {"Arm": "imu01"}, "for which no position is recorded: name it link06 or tip"),
         (PHYPHOX, {"Gyroscope w": "imu01"}, "must be one of Gyroscope, Absolute"),
-        (PHYPHOX, {}, "such as --point 'Gyroscope=tip'"),
+        (PHYPHOX, {}, "for example with --point 'Gyroscope=tip'"),
         (
             PHYPHOX.replace("Gyroscope", "Linear Acceleration").replace("rad/s", "m/s^2"),
             {"Linear Acceleration": "imu01"},
-            "but gravity is taken out of it, as no accelerometer does: record the acceleration",
+            "but gravity has been removed from it, unlike in the signal of an accelerometer: "
+            "record",
         ),
     ],
 )

@@ -87,7 +87,7 @@ def test_a_duration_keeps_its_beginning():
     spans = (TIMES * 1000 + 5000).astype("timedelta64[ms]")
     run = Run.from_frame({**COLUMNS, "time_s": spans})
     np.testing.assert_allclose(run.times, TIMES + 5)
-    with pytest.raises(InputError, match="units has 'time'"):
+    with pytest.raises(InputError, match="units contains 'time'"):
         Run.from_frame({"time": spans, "tip_z_m": TIMES}, units={"time": "ms"})
 
 
@@ -123,7 +123,7 @@ def test_a_frame_of_a_run_is_its_file(tmp_path):
     ("frame", "units", "error"),
     [
         (3.0, None, "is not made from a float"),
-        (COLUMNS, {"tip_y": "m"}, "units has 'tip_y', which is not a column"),
+        (COLUMNS, {"tip_y": "m"}, "units contains 'tip_y', which is not a column"),
         (COLUMNS | {"tip_z_m": TIMES}, None, "both give tip_z"),
         (COLUMNS | {"tip_y": TIMES}, None, "tip_y"),
         (COLUMNS | {"tip_y": TIMES}, {"tip_y": "deg"}, "must be in"),

@@ -18,15 +18,16 @@ SOME = 4_300_000
     [
         (
             {"time_s": np.zeros(MANY, np.int8), "link06_z_m": np.zeros(MANY, np.int8)},
-            "has 272,000,000 bytes when it is unpacked, but may have 268,435,456 at most: shorten",
+            "has 272,000,000 bytes when it is decompressed, but may have 268,435,456 at most: "
+            "shorten",
         ),
         (
             {"time_s": np.zeros(SOME, np.int8), "side": pl.repeat("a", SOME, eager=True)},
-            "has 309,600,000 bytes when it is unpacked",
+            "has 309,600,000 bytes when it is decompressed",
         ),
         (
             {"side": [f"{number}{'a' * 1_000_000}" for number in range(270)]},
-            r"has 270,\d{3},\d{3} bytes when it is unpacked",
+            r"has 270,\d{3},\d{3} bytes when it is decompressed",
         ),
         ({"link06_z_m": [[1.0] * 100] * 10}, r"is of type List\(Float64\), but must hold numbers"),
         ({"link06_z_m": [{"a": 1.0}] * 10}, "is of type Struct"),
@@ -182,5 +183,9 @@ def test_categories_count_as_the_texts_that_they_become(tmp_path):
     frame = pl.DataFrame({"side": pl.repeat("1" * 900, rows, eager=True)}, {"side": pl.Categorical})
     frame.write_parquet(path)
     assert path.stat().st_size < 1 << 20
-    with pytest.raises(InputError, match=r"the texts of column 'side' may have 268,435,456 bytes"):
+    with pytest.raises(
+        InputError,
+        match=r"the strings of column 'side' may have 268,435,456 "
+        r"bytes",
+    ):
         read_numbers(path)

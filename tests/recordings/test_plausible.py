@@ -261,7 +261,10 @@ def test_a_mistake_is_named(mistake, name):
 @pytest.mark.parametrize(
     ("arm", "sentence"),
     [
-        ({"link_pressure_kPa": [1.0] * 19 + [0.0205]}, "1 of 20 links bear less than the 50.1 N"),
+        (
+            {"link_pressure_kPa": [1.0] * 19 + [0.0205]},
+            "1 of 20 links withstand less than the 50.1 N",
+        ),
         ({"contact_pressure_kPa": 0.5}, "p pi r^2 is 35.3 N, at 500.0 Pa"),
         (
             {"muscle_law": "empirical", "link_pressure_kPa": 0.25},
@@ -301,7 +304,9 @@ def test_a_neck_that_muscles_crush_is_named(radius, last, joint, held):
     definition["arm"] = {"links": 20, "muscles": "pitch", "parameters": parameters}
     definition["arm"]["link_pressure_kPa"] = gas
     said = [odd.sentence for odd in found(columns, definition) if "neck" in odd.sentence]
-    whole = f"joint {joint}, straight, together by at least 3.33 N, and the gas in its neck holds "
+    whole = (
+        f"joint {joint}, straight, together by at least 3.33 N, and the gas in the neck withstands "
+    )
     whole += str(held)
     assert [whole in each for each in said] == [True] * (held is not None)
 
@@ -532,7 +537,10 @@ def test_each_mistake_of_the_list_is_undone():
     names = {each.name for each in listed}
     assert {"axes: y and z swapped", "axes: z reversed", "axes: x and y reversed"} <= names
     assert {"axes: recorded x is y, y is -x", "columns: the commands in rad"} <= names
-    assert {"columns: link02 and tip exchanged", "columns: the links counted from the tip"} <= names
+    assert {
+        "columns: link02 and tip exchanged",
+        "columns: the links numbered from the tip",
+    } <= names
     for each in listed:
         right = each.undone(run)
         # What was measured is what the mistake makes of the right columns, once more.

@@ -104,7 +104,7 @@ def test_free_motion_needs_to_be_said():
         Run.from_arrays(TIMES, angles, definition={"free_motion": False})
     for definition in ({"free_motion": True}, {"initial": {"angle_deg": 60}}):
         assert Run.from_arrays(TIMES, angles, definition=definition).commands == {}
-    with pytest.raises(InputError, match="free_motion = true is stated, but there are command"):
+    with pytest.raises(InputError, match="free_motion = true is stated, but the run has command"):
         arm(definition={"free_motion": True})
 
 
@@ -160,7 +160,7 @@ WRONG = {
     "noise of command": (TIMES, COMMAND, {"noise": {"joint01_command_deg": 1}}, ["measured"]),
     "model": (TIMES, COMMAND, {"model": "muscle"}, ["'muscle'", "belongs to 'arm'"]),
     "foreign": (TIMES, {**COMMAND, "pressure": [1.0] * 4}, {}, ["'pressure_kPa'", "'arm'"]),
-    "no model": (None, {"force": [1.0] * 4}, {}, ["do not say which model", 'model = "..."']),
+    "no model": (None, {"force": [1.0] * 4}, {}, ["do not determine the model", 'model = "..."']),
     "side": (None, {"side": ["inner", "left"], "force": [1, 2]}, {}, ["'left'", "inner or outer"]),
     "key": (TIMES, COMMAND, {"arm": {"lings": 3}}, ["arm.lings", "arm.links"]),
 }  # fmt: skip

@@ -61,7 +61,7 @@ def test_a_window_longer_than_the_run_is_the_run():
     [
         (swing(), 0.03, "fewer than 4 samples"),
         (swing(initial={"angle_deg": 1.0}), 0.5, "first_row = true"),
-        (loop(), 0.5, "hysteresis model .* leave out the windows"),
+        (loop(), 0.5, "hysteresis model .* omit the windows"),
     ],
 )
 def test_windows_that_cannot_be(run, length, sentence):

@@ -205,7 +205,7 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ([], "DeepLabCut counts frames: give --frame-rate"),
+        ([], "DeepLabCut gives frame numbers instead of times: give --frame-rate"),
         (["--frame-rate", "50"], "no tracked point is assigned to a channel"),
         (["--frame-rate", "50", "--point", "nose=tip"], "there is no tracked point 'nose'"),
         (

@@ -239,7 +239,7 @@ def test_a_folder_that_cannot_be_is_refused(run, config, tmp_path, force):
     (tmp_path / "file").write_text("mine")
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     for folder in ("file", "file/below", "link"):
-        with pytest.raises(InputError, match="give another one"):
+        with pytest.raises(InputError, match="give another name"):
             check_folder(tmp_path / folder, [run], config, force=force)
 
 

@@ -229,7 +229,7 @@ def test_one_declaration_makes_the_template_and_the_schema():
     [
         ({"sail_area_m2": 0}, "sail_area_m2 = 0 must be a positive number:"),
         ({"sail_pitch_deg": 91}, "= 91 must be a number from 0 to 90 (level is 0):"),
-        ({"slack_mm": "much"}, "= 'much' must be a number or a list of them, one a link:"),
+        ({"slack_mm": "much"}, "= 'much' must be a number or a list of them, one for each link:"),
         ({"mast_m": [1.0]}, "must be a list of two numbers:"),
         ({"colour": 1}, "unknown key colour"),
     ],

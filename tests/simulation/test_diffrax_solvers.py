@@ -91,19 +91,22 @@ def test_derivatives_follow_from_the_mode(mode, derivative):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"solver": diffrax.Euler()}, "Euler estimates no error of a step, .*HalfSolver"),
-        ({"solver": diffrax.ShARK()}, "ShARK is for stochastic equations or such that are split"),
+        ({"solver": diffrax.Euler()}, "Euler does not estimate the error of a step, .*HalfSolver"),
+        ({"solver": diffrax.ShARK()}, "ShARK is for stochastic or split equations"),
         (
             {"solver": diffrax.SemiImplicitEuler()},
             "SemiImplicitEuler is for stochastic eq",
         ),
-        ({"solver": diffrax.KenCarp4()}, "KenCarp4 is for stochastic equations or such that are"),
+        ({"solver": diffrax.KenCarp4()}, "KenCarp4 is for stochastic or split equations"),
         (
             {"stepsize_controller": diffrax.ConstantStepSize()},
-            "ConstantStepSize, which says no",
+            "ConstantStepSize, which does not choose step sizes",
         ),
-        ({"stepsize_controller": 0.1}, "the step size controller is float, which says no lengths"),
-        ({"solver": 5}, "there is no solver '5': use one of tsit5, .* or one of diffrax"),
+        (
+            {"stepsize_controller": 0.1},
+            "the step size controller is float, which does not choose step sizes",
+        ),
+        ({"solver": 5}, "unknown solver '5': use one of tsit5, .* or one of diffrax"),
         ({"solver": "euler"}, "there is no solver 'euler': use one of"),
         ({"solver": "Euller()"}, "there is no solver Euller: give one of diffrax, or register"),
         (
@@ -114,7 +117,7 @@ def test_derivatives_follow_from_the_mode(mode, derivative):
         ({"solver": "HalfSolver(5)"}, r"there is no solver 'HalfSolver\(5\)'"),
         (
             {"solver": diffrax.ImplicitEuler(), "stepsize_controller": diffrax.StepTo(TIMES)},
-            r"ImplicitEuler takes the tolerances .* StepTo has none: give it root_finder",
+            r"ImplicitEuler takes the tolerances .* StepTo has none: give the solver root_finder",
         ),
         ({"solver": "PIDController(1, 1)"}, "there is no solver 'PIDController"),
     ],
@@ -128,7 +131,7 @@ def test_settings_and_a_stepper_refuse_what_a_fit_or_a_motion_would():
     with pytest.raises(InputError, match=r"fit.solver.*there is no solver Euller: give"):
         giajax.recordings.fit_settings({"solver": "Euller()"})
     giajax.simulation.Stepper(ARM, 0.1, solver=diffrax.Euler())
-    with pytest.raises(InputError, match="Euler estimates no error of a step"):
+    with pytest.raises(InputError, match="Euler does not estimate the error of a step"):
         giajax.simulation.Stepper(ARM, 0.1, solver=diffrax.Euler(), tolerance=1e-6)
 
 
@@ -148,9 +151,11 @@ def test_what_remembers_moves_by_a_method_without_an_error(law):
 
 def test_given_steps_are_those_of_the_times():
     steps = diffrax.StepTo(TIMES[:-1])
-    with pytest.raises(InputError, match=r"StepTo is over \[0.0, 1.9.*\] s, and the times over"):
+    with pytest.raises(InputError, match=r"StepTo covers \[0.0, 1.9.*\] s, but the times cover"):
         move(stepsize_controller=steps)
-    with pytest.raises(InputError, match="StepTo has the times of one run: give an adaptive"):
+    with pytest.raises(
+        InputError, match="StepTo holds the times of a single run: give an adaptive"
+    ):
         giajax.ArmModel(ARM, stepsize_controller=steps)
 
 

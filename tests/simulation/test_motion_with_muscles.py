@@ -277,5 +277,5 @@ def test_what_muscles_cannot_do_is_refused():
         check_muscles(
             arm_with({"geometry.contact_y": 0.19, "geometry.wire_length": 0.4}), still, None
         )
-    with pytest.raises(InputError, match="3 columns and the arm has 3 joints"):
+    with pytest.raises(InputError, match="3 columns, but the arm has 3 joints"):
         simulate(arm, still, times, pressure=Pressures(steps([0.0], [np.zeros(3)]), (1,)))

@@ -150,7 +150,7 @@ def test_a_step_and_a_ramp_by_joint():
 def test_a_joint_that_the_arm_has_not_is_refused(joint):
     for make in (joint_steps, joint_ramps):
         with pytest.raises(
-            InputError, match=f"joint {joint} is not in the arm: give a number from 1 to 3"
+            InputError, match=f"joint {joint} is not a joint of the arm: give a number from 1 to 3"
         ):
             make(3, {joint: 0.5})
 

@@ -274,9 +274,9 @@ def test_what_was_reached_before_a_failure_is_kept():
 
 
 REFUSED = {
-    "the command drives 2 joints and the arm has 3": {"command": joint_steps(2, {1: 0.5})},
+    "the command drives 2 joints, but the arm has 3": {"command": joint_steps(2, {1: 0.5})},
     "the wind has 2 components: give x, y and z": {"wind": [0.1, 0.2]},
-    "give at least two times in one row": {"times": [1.0]},
+    "give a one-dimensional array of at least two times": {"times": [1.0]},
     "times has shape (2, 2)": {"times": [[0.0, 1.0], [2.0, 3.0]]},
     "times do not increase strictly": {"times": [0.0, 1.0, 1.0]},
     "give one value for each of the 3 joints": {"initial": (np.zeros(2), np.zeros(3))},

@@ -124,13 +124,13 @@ def test_what_cannot_be_stepped_is_refused():
     with pytest.raises(InputError, match="there is no solver 'euler'"):
         Stepper(arm, 0.1, solver="euler")
     stepper = Stepper(arm, 0.1)
-    with pytest.raises(InputError, match=r"the rates of a moment have shape \(2,\): give 3"):
+    with pytest.raises(InputError, match=r"the rates of one time have the shape \(2,\): give 3"):
         stepper.start(rates=[0.0, 1.0])
-    with pytest.raises(InputError, match=r"the wind of a moment have shape \(4,\): give 3"):
+    with pytest.raises(InputError, match=r"the wind of one time have the shape \(4,\): give 3"):
         stepper.start(wind=[0.0, 1.0, 0.0, 0.0])
-    with pytest.raises(InputError, match=r"the command of a moment have shape \(1,\)"):
+    with pytest.raises(InputError, match=r"the command of one time have the shape \(1,\)"):
         stepper.advance(stepper.start(), [0.1])
-    with pytest.raises(InputError, match="a wind comes up in still air"):
+    with pytest.raises(InputError, match="a wind is given after a start in still air"):
         stepper.advance(stepper.start(), np.zeros(3), [0.0, 1.0, 0.0])
 
 

@@ -93,7 +93,7 @@ def test_an_array_starts_and_is_held_element_by_element(path):
     alike = task.on_top(start={"weights": [0.2]}).prepare().setup
     assert_allclose(alike.model.operator.weights, [0.2, 0.2])
     assert alike.config["start"] == {"weights": 0.2}
-    with pytest.raises(InputError, match=r"weights is set to 3 values and has 2 elements: give"):
+    with pytest.raises(InputError, match=r"weights is set to 3 values, but has 2 elements: give"):
         task.on_top(start={"weights": [0.1, 0.2, 0.3]}).prepare()
 
 

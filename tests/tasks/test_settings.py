@@ -103,7 +103,10 @@ def test_the_last_word_on_a_parameter_counts(path):
     [
         ('priors."a" = { value = 1 }', r"\[fit.priors.a\] must have a deviation, or a factor"),
         ('priors."a" = { value = 1, deviation = 0 }', "deviation = 0 must be a positive number"),
-        ('priors."a" = { value = 1, factor = 0.5 }', "has the factor 0.5: give a number above 1"),
+        (
+            'priors."a" = { value = 1, factor = 0.5 }',
+            "the factor of the prior is 0.5: give a number above 1",
+        ),
         ('priors."a" = { value = 0, factor = 2 }', "a factor and the value 0: give a positive"),
         ('priors."a" = { deviation = 1 }', "priors.a.value is missing, and must be a number"),
         ('priors."a" = { value = 1, deviaton = 1 }', "did you mean fit.priors.a.deviation?"),

@@ -98,5 +98,7 @@ def test_what_one_sentence_advises_is_no_error_of_the_next():
 
 @pytest.mark.quick
 def test_either_windows_or_whole_runs():
-    with pytest.raises(InputError, match="has window_s and windows_first_s, which fits whole"):
+    with pytest.raises(
+        InputError, match="has window_s and windows_first_s, but the latter fits whole"
+    ):
         FitTask.of("swing.csv").on_top(window_s=2.0, windows_first_s=3.0)

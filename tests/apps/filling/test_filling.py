@@ -261,7 +261,10 @@ BAD = {
     "shares alone": ({"shared": ((2,),)}, r"the links \[2\] share a bag, but must be neighbours"),
     "no neighbours": ({"shared": ((1, 3),)}, r"the links \[1, 3\] share a bag, but must be"),
     "beyond": ({"shared": ((3, 4),)}, "link 4 shares a bag, but the arm has 3 links: correct"),
-    "twice": ({"shared": ((1, 2), (2, 3))}, "link 2 shares a bag twice, but has one: put all"),
+    "twice": (
+        {"shared": ((1, 2), (2, 3))},
+        "link 2 is in two lists of shared bags, but can belong to only one bag: put all",
+    ),
     "ports": (
         {"ports": Ports(diameter=[0.01, 0.01, 0.02])},
         "the ports have 3 values of diameter, but there are 2 between 3 bags: give one number",

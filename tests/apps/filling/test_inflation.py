@@ -98,7 +98,7 @@ def test_links_that_one_muscle_would_fold_are_counted():
     pull = (300e3 - 10e3) * ideal
     carried = weak.pressure[-1] * np.pi * 0.15**2
     assert carried.max() < pull
-    assert weak.collapse.startswith(f"3 of 3 links bear less than the {pull:.1f} N")
+    assert weak.collapse.startswith(f"3 of 3 links withstand less than the {pull:.1f} N")
     assert f"p pi r^2 of link 3 is {carried[2]:.1f} N" in weak.collapse
     # Gas that is in the bags at the beginning presses them tight, and a weaker muscle folds none.
     assert fill(Filling(arm=takeichi_20m(3)), share=1.1).collapse is None

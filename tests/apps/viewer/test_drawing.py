@@ -86,7 +86,7 @@ def test_frames_are_samples_and_no_more_than_are_seen():
 def test_recorded_markers_have_the_samples_of_their_scene():
     with pytest.raises(InputError, match="the recorded marker 'tip' has 2 samples and the scene 3"):
         Show("a", moving(), {"tip": np.zeros((2, 3))})
-    with pytest.raises(InputError, match="give an origin to each vector"):
+    with pytest.raises(InputError, match="give one origin for each vector"):
         Arrows("air", "N", np.zeros((3, 2, 3)), np.zeros((3, 1, 3)))
 
 

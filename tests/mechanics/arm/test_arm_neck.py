@@ -57,7 +57,7 @@ def test_gas_of_an_arm_is_declared_once():
     assert not any(path.startswith("neck.pressure") for path in {**declared(arm), **left_out(arm)})
     assert {"neck.radius", "neck.length", "neck.film_stiffness"} <= declared(arm).keys()
     assert "neck.radius" in left_out(arm_with({}))
-    with pytest.raises(InputError, match="have the gas of links"):
+    with pytest.raises(InputError, match="share the gas of the links"):
         _ = arm.pneumatics.pair
     with pytest.raises(InputError, match=r"neck\.length is 0: make it positive"):
         arm_with({"neck.radius": 0.05, "neck.length": 0.0})

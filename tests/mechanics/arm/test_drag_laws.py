@@ -159,12 +159,12 @@ class Misled(Square):
             Shapeless(),
             r"Shapeless.force returns the shape \(\) for velocities of shape \(3, 4, 2\)",
         ),
-        (Pushing(), "Pushing.force drives a link .* and would make energy"),
+        (Pushing(), "Pushing.force accelerates a link .* which would create energy"),
         (Rough(), "Rough.force has a slope that is not finite at rest: correct it .safe_norm"),
         (Infinite(), "Infinite.force has a value that is not finite at 0.001 m/s"),
-        (Misled(), "Misled.force has a derivative at 1 m/s that is not that of its differences"),
+        (Misled(), "Misled.force has a derivative at 1 m/s that does not match finite differences"),
         (Counted(), "Counted.points is a field: make it a constant of the class"),
-        (Backwards(), "Backwards.points is -1: give 0, or as many points"),
+        (Backwards(), "Backwards.points is -1: give a number of points, or 0"),
         (Broken(), r"Broken.force fails \(AttributeError: .*no attribute 'vel'"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, AbstractDragLaw) else "",
@@ -216,7 +216,7 @@ def test_right_laws_are_taken_and_are_part_of_programs(law):
 
 def test_what_has_no_part_in_a_law_is_refused():
     for name in ("air.drag_coefficient", "air.axial_coefficient"):
-        with pytest.raises(InputError, match="have no part in a law of drag of one's own"):
+        with pytest.raises(InputError, match="do not apply to a user-defined drag law"):
             takeichi_20m(2, drag="Square", parameters={name: 1.0})
-    with pytest.raises(InputError, match="are of no law but giajax's: remove them"):
+    with pytest.raises(InputError, match="apply only to the drag laws of giajax: remove them"):
         takeichi_20m(2, drag="Square", drag_curve="cylinder")

@@ -432,28 +432,39 @@ class Astray(Memory):
 @pytest.mark.parametrize(
     ("law", "said"),
     [
-        (Astray(), "Astray.travelled is not what Astray.rate comes to after a short way at"),
+        (
+            Astray(),
+            "Astray.travelled does not match the integral of Astray.rate over a short path at",
+        ),
         (Shapeless(), r"Shapeless.torque returns the shape \(\) for 4 joints: return \(4,\)"),
         (Coupled(), "Coupled.torque depends on another joint at .*: compute each joint from its"),
         (Tethered(), "Tethered.torque depends on another joint at"),
         (Shared(), "Shared.unstrained depends on another joint at"),
-        (Called(), "Called.rows is a method: give 0, or as many states"),
-        (Fractional(), "Fractional.rows is 1.0: give 0, or as many states"),
+        (Called(), "Called.rows is a method: give the number of states"),
+        (Fractional(), "Fractional.rows is 1.0: give the number of states"),
         (Whole(), "Whole.unstrained returns int64 where angles are float64: return"),
         (Imaginary(), "Imaginary.torque returns complex128 where angles are float64"),
-        (Kinetic(), "Kinetic.energy depends on the rate at .*: store by angle, command"),
+        (
+            Kinetic(),
+            "Kinetic.energy depends on the rate at .*: let the stored energy depend only "
+            "on angle, command",
+        ),
         (Softest(), "Softest.stiffest is less than Softest.slopes, or not finite, at"),
         (Sloping(), r"Sloping.state_slopes returns the shape \(.*: return \(\(1, 4\)"),
-        (Giving(), "Giving.torque gives more than Giving.energy had stored, and would make energy"),
-        (Forgetting(), "Forgetting.torque gives more than Forgetting.energy had stored"),
+        (Giving(), "Giving.torque releases more energy than Giving.energy had stored"),
+        (Forgetting(), "Forgetting.torque releases more energy than Forgetting.energy had stored"),
         (Rough(), "Rough.torque has a derivative by its rates that is not finite at .* 0 rad/s"),
         (Infinite(), "Infinite.energy has a value that is not finite at"),
         (Counted(), "Counted.rows is a field: make it a constant of the class"),
-        (Backwards(), "Backwards.rows is -1: give 0, or as many states"),
+        (Backwards(), "Backwards.rows is -1: give the number of states"),
         (Broken(), r"Broken.rate fails \(AttributeError: .*no attribute 'speeds'"),
-        (Stiffer(), "Stiffer.slopes is not how the torque falls with the angles at"),
-        (Cooler(), "Cooler.dissipation is not what torque and energy lose at"),
-        (Misled(), "Misled.torque has a derivative by its states that is not that of differences"),
+        (Stiffer(), "Stiffer.slopes does not match the decrease of the torque with the angles at"),
+        (Cooler(), "Cooler.dissipation does not match the loss from torque and energy at"),
+        (
+            Misled(),
+            "Misled.torque has a derivative with respect to its states that is not that of "
+            "finite differences",
+        ),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, AbstractJointLaw) else "",
 )
@@ -532,7 +543,9 @@ def test_pressures_of_a_run_drive_a_law_of_ones_own(tmp_path):
 
 
 def test_an_arm_has_one_law_that_pressures_drive():
-    with pytest.raises(InputError, match="Bellows and Pneumatics take pressures: give an arm one"):
+    with pytest.raises(
+        InputError, match="Bellows and Pneumatics both take pressures: use only one"
+    ):
         takeichi_20m(2, joint_laws=["Bellows"], muscles="pitch")
 
 
@@ -555,13 +568,13 @@ def test_a_law_without_its_method_is_refused_by_its_name():
 def test_names_of_laws_are_those_of_registered_ones_each_once():
     with pytest.raises(InputError, match="there is no joint law 'Nobodys': register it"):
         takeichi_20m(2, joint_laws=["Nobodys"])
-    with pytest.raises(InputError, match="Creep is among joint_laws twice"):
+    with pytest.raises(InputError, match="Creep appears twice in joint_laws"):
         takeichi_20m(2, joint_laws=["Creep", Creep()])
     for wrong in ("hardening", Creep(), Creep, [Creep], ["hardening", None]):
         with pytest.raises(InputError, match="give a list of names or instances of laws"):
             takeichi_20m(2, joint_laws=wrong)
     for given in (Spring(ONE), Memory(strength=0.1)):
-        with pytest.raises(InputError, match="is what joints have by their parameters"):
+        with pytest.raises(InputError, match="is a law that parameters of the joints switch on"):
             takeichi_20m(2, joint_laws=[given])
     with pytest.raises(InputError, match='\'Nobodys\' must be "hardening", "end_stops" or'):
         giajax.recordings.Definition.parse({"arm": {"joint_laws": ["Nobodys"]}}, "test")

@@ -171,9 +171,9 @@ def test_stops_are_as_many_as_are_given():
     assert (
         with_settings(two, {"joints.stops.strength": [0.1, 0.2, 0.3]}).joints.further_laws.rows == 3
     )
-    with pytest.raises(InputError, match="give one of each"):
+    with pytest.raises(InputError, match="give one strength and one yield angle"):
         replace(replace(two, three), {"joints.stops.strength": [0.1, 0.2]})
-    with pytest.raises(InputError, match="give one of each"):
+    with pytest.raises(InputError, match="give one strength and one yield angle"):
         takeichi_20m(2, parameters={"joints.stops.strength": []})
 
 
@@ -184,9 +184,9 @@ def test_how_added_mass_acts_is_in_the_definition_before_there_is_any():
 
 
 def test_stops_need_as_many_angles_as_strengths():
-    with pytest.raises(InputError, match="give one of each"):
+    with pytest.raises(InputError, match="give one strength and one yield angle"):
         Stops(strength=[0.1, 0.2, 0.3], yield_angle=[0.1, 0.2])
-    with pytest.raises(InputError, match="give one of each"):
+    with pytest.raises(InputError, match="give one strength and one yield angle"):
         takeichi_20m(2, parameters={"joints.stops.strength": [0.1, 0.2, 0.3],
                              "joints.stops.yield_angle": [0.1, 0.2]})  # fmt: skip
 

@@ -203,11 +203,11 @@ def camera(link, **places):
         ),
         (
             lambda: trimmed(takeichi_20m(2)),
-            "this arm leaves buoyancy out: build it with buoyancy=True",
+            "this arm has no buoyancy: build it with buoyancy=True",
         ),
         (
             lambda: net_lift(takeichi_20m(2)),
-            "this arm leaves buoyancy out: build it with buoyancy=True",
+            "this arm has no buoyancy: build it with buoyancy=True",
         ),
         (
             lambda: takeichi_20m(3, parameters={"buoyancy.trim_mass": 0.1}),

@@ -172,7 +172,7 @@ def test_files_state_it_as_python_does():
     again = arm_from_definition(giajax.Definition.parse({"arm": heavier}))
     assert_allclose(bodies(again).mass, bodies(arm).mass + 0.1, rtol=1e-12)
     del heavier["link_inertia_kg_m2"]
-    with pytest.raises(giajax.InputError, match="gives link 1 a mass, which is in its structural"):
+    with pytest.raises(giajax.InputError, match="gives link 1 a mass, but its structural"):
         arm_from_definition(giajax.Definition.parse({"arm": heavier}))
     with pytest.raises(giajax.InputError, match=r"unknown key arm\.parent"):
         giajax.Definition.parse({"arm": {"preset": "chain", "parent": [0, 1, 1]}})
@@ -204,9 +204,9 @@ def test_what_is_not_stated_is_neutral():
         ("diameter", r"no links\.diameter \(link_diameter_m\): state"),
         ("mass", r"no links\.mass \(link_mass_kg\): state"),
         ("joint_axes", "no joint_axes: state"),
-        ("joints.pitch_stiffness", r"no joints\.pitch_stiffness: state"),
-        ("joints.yaw_stiffness", r"no joints\.yaw_stiffness: state"),
-        ("joints.damping", r"no joints\.damping: state"),
+        ("joints.pitch_stiffness", r"this arm lacks joints\.pitch_stiffness: state"),
+        ("joints.yaw_stiffness", r"this arm lacks joints\.yaw_stiffness: state"),
+        ("joints.damping", r"this arm lacks joints\.damping: state"),
     ],
 )
 def test_what_has_no_neutral_value_must_be_stated(left_out, named):
@@ -221,9 +221,9 @@ def test_what_has_no_neutral_value_must_be_stated(left_out, named):
 @pytest.mark.parametrize(
     ("row", "error"),
     [
-        ([1.0, 1.0, 3.0, 0, 0, 0], "no body has the inertia of link 1"),
-        ([-1.0, 1.0, 1.0, 0, 0, 0], "no body has the inertia of link 1"),
-        ([0.0] * 6, "no body has the inertia of link 1"),
+        ([1.0, 1.0, 3.0, 0, 0, 0], "no rigid body can have the inertia of link 1"),
+        ([-1.0, 1.0, 1.0, 0, 0, 0], "no rigid body can have the inertia of link 1"),
+        ([0.0] * 6, "no rigid body can have the inertia of link 1"),
         ([1.0, 1.0, 1.0], "six finite numbers"),
         ([np.nan] * 6, "six finite numbers"),
     ],
@@ -231,7 +231,7 @@ def test_what_has_no_neutral_value_must_be_stated(left_out, named):
 def test_an_inertia_that_no_body_has_is_refused(row, error):
     with pytest.raises(giajax.InputError, match=error):
         own(inertia=row)
-    with pytest.raises(giajax.InputError, match="leave out the transverse and axial one"):
+    with pytest.raises(giajax.InputError, match="omit these two"):
         own(inertia_axial=1e-4)
 
 

@@ -279,7 +279,7 @@ def test_bad_muscles_are_refused():
         takeichi_20m(2, muscles=[1, 3])
     with pytest.raises(InputError, match="increasing, each once"):
         takeichi_20m(2, muscles=[2, 1])
-    with pytest.raises(InputError, match="is in no joint"):
+    with pytest.raises(InputError, match="no joint has muscles"):
         takeichi_20m(2, pair=JointPair())
     with pytest.raises(InputError, match="jump at 0"):
         takeichi_20m(2, muscles="all", pair=JointPair())

@@ -201,7 +201,7 @@ def test_an_arm_in_a_wind_goes_through_its_definition_and_its_class_is_in_keys()
         assert text(arm) != text(takeichi_20m(2))
         assert text(takeichi_20m(2, wind_field=breeze)) != text(takeichi_20m(2, wind_field=growing))
         assert "wind_field" not in text(takeichi_20m(2)) or text is structure
-    with pytest.raises(InputError, match=r"the wind WindFunction is not registered.*write one"):
+    with pytest.raises(InputError, match=r"the wind WindFunction is not registered.*write a class"):
         giajax.ArmModel(takeichi_20m(2, wind_field=breeze)).definition()
     with pytest.raises(InputError, match="wind_field = 'Nobodys' must be a registered wind"):
         Definition.parse({"arm": {"wind_field": "Nobodys"}}, "test")
@@ -256,7 +256,7 @@ class Late(Sheared):
     ("wind", "said"),
     [
         (shapeless, r"shapeless returns the shape \(\) for positions of shape \(3, 3\)"),
-        (endless, "endless has a value that is not finite at 0 s where the arm is"),
+        (endless, "endless has a value that is not finite at 0 s at the position of the arm"),
         (rough, "rough has a derivative that is not finite"),
         (chosen, r"chosen fails \(TracerBoolConversionError"),
         (silent, r"silent fails \(ValueError\): correct it"),

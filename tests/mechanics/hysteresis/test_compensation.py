@@ -181,5 +181,5 @@ def test_a_bisected_input_has_the_derivative_of_the_inverse():
 
 def test_a_falling_loop_is_refused():
     there = np.concatenate([np.linspace(-1, 1, 30), np.linspace(1, -1, 30)])
-    with pytest.raises(InputError, match="falls where the input rises: change the sign"):
+    with pytest.raises(InputError, match="decreases where the input increases: change the sign"):
         branches_from_loop(there, -there, travel=0.1)

@@ -194,5 +194,5 @@ def test_bad_lists_are_refused():
         PrandtlIshlinskii(weights=[0.1], thresholds=[0.1], elements="relay")
     with pytest.raises(InputError, match="one slope for each dead zone"):
         DeadZones(1.0, [1.0], [0.1, 0.2], [1.0], [1.0])
-    with pytest.raises(InputError, match="is not positive: give distances"):
+    with pytest.raises(InputError, match="is not positive: give positive distances"):
         DeadZones(1.0, [0.0], [0.1], [1.0], [1.0])

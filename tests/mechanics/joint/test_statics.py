@@ -253,8 +253,8 @@ def test_a_torque_for_each_angle():
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"wire_length": 0.05}, "D_x is not below half of L_wire"),
-        ({"wire_x": 0.2}, "D_x is not below half of L_wire"),
+        ({"wire_length": 0.05}, "D_x is not less than half of L_wire"),
+        ({"wire_x": 0.2}, "D_x is not less than half of L_wire"),
         ({"wire_length": 0.2}, "does not reach around the outer muscle"),
         ({"contact_y": 0.4}, "does not reach around the outer muscle"),
         ({"anchor_y": 2.0}, "ends A and C have crossed"),
