@@ -107,7 +107,7 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
 
 
 def test_a_model_that_is_not_registered_is_refused_with_what_it_was_made_with():
-    with pytest.raises(giajax.InputError, match="there is no kind of model 'zeppelin' here: use"):
+    with pytest.raises(giajax.InputError, match="there is no kind of model 'zeppelin': use"):
         giajax.models.build_model("zeppelin", {}, {})
 
 
@@ -172,7 +172,7 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
         ),
         (
             {"channels": (ChannelKind("force", "force", "torque", "output"),)},
-            "there is a channel force already, the force 'force'",
+            "there already is a channel force, the force 'force'",
         ),
         (
             {"channels": (ChannelKind("fullness", "fullness", "litres", "output"),)},
@@ -183,8 +183,8 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
             r"Balloon.kind is <property .*: make it a "
             r"string",
         ),
-        ({"kind": "contents"}, "no section can be called 'contents': give the model another"),
-        ({"kind": "my kite"}, "no section can be called 'my kite': give the model another"),
+        ({"kind": "contents"}, "no section can have the name 'contents': give the model another"),
+        ({"kind": "my kite"}, "no section can have the name 'my kite': give the model another"),
         ({"channels": ("height",)}, r"channels is \('height',\): make it a tuple of .*ChannelKind"),
         (
             {"channels": row("x(", "length")},
@@ -196,7 +196,10 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
         ),
         ({"channels": row("time", "length")}, "the channel time of the row .* rename it"),
         ({"channels": row("cord", "length", "measured")}, "has no part 'measured' in a model: use"),
-        ({"channels": row("cord", "text")}, "the channel cord is a text of no values: state them"),
+        (
+            {"channels": row("cord", "text")},
+            "the channel cord is a text channel without values: state them",
+        ),
         (
             {"channels": row("cord", "length", noise="position")},
             "cord has no noise of the key 'position': use position_m, or leave it out",

@@ -279,7 +279,11 @@ def test_the_command_writes_commands_that_can_be_driven(files, capsys):
     ("text", "arguments", "sentence"),
     [
         ("time_s,tip_z_m\n0,0\n1,0\n", [], "command.csv has no command column"),
-        (COMMAND.replace("joint01", "joint09"), [], "is of joint 9, but the arm has 3 links"),
+        (
+            COMMAND.replace("joint01", "joint09"),
+            [],
+            "refers to joint 9, but the arm has only 3 links",
+        ),
         (COMMAND.replace("10", "0"), [], "the command does not move the tip"),
         (COMMAND, ["--shaper", "best"], "the shaper 'BEST' is unknown"),
         (COMMAND, ["--model", "none.toml"], "none.toml does not exist"),

@@ -23,7 +23,7 @@ def test_an_unknown_figure_is_refused(tmp_path, capsys):
 def test_nothing_is_written_over(tmp_path, capsys):
     (tmp_path / "fig9.json").write_text("mine")
     assert main(["paper", "fig9", "--out", str(tmp_path)]) == 2
-    assert "fig9.json exists and is not written over" in capsys.readouterr().err
+    assert "fig9.json exists and is not overwritten" in capsys.readouterr().err
     assert main(["paper", "all", "--out", str(tmp_path)]) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["fig9.json"]
 
@@ -70,7 +70,7 @@ def test_all_goes_on_where_it_was_stopped(tmp_path, capsys, made):
     # What is whole stays, and what is not is not this command's to write over.
     (tmp_path / "fig12.png").write_bytes(b"half")
     assert main(words) == 2
-    assert "fig12.png exists and is not written over" in capsys.readouterr().err
+    assert "fig12.png exists and is not overwritten" in capsys.readouterr().err
     (tmp_path / "fig12.png").unlink()
     (tmp_path / "fig12.csv").unlink()
     (tmp_path / "fig12.json").unlink()
@@ -79,7 +79,7 @@ def test_all_goes_on_where_it_was_stopped(tmp_path, capsys, made):
     # Neither is a page of someone else.
     (tmp_path / "index.html").write_text("mine")
     assert main(words) == 2
-    assert "index.html exists and is not written over" in capsys.readouterr().err
+    assert "index.html exists and is not overwritten" in capsys.readouterr().err
     assert (tmp_path / "index.html").read_text() == "mine"
     assert main([*words, "--force"]) == 0
     assert made[len(NAMES) + 2 :] == list(NAMES)

@@ -45,7 +45,7 @@ def test_what_a_model_lacks_is_not_checked():
 
 def test_each_function_says_what_holds_without_the_method():
     model, run = Bare(), toy_model.run()
-    assert "the cause is not checked" in capabilities.failure(model, None)
+    assert "for a cause that is not known" in capabilities.failure(model, None)
     assert capabilities.refined(model, 0.1) is None
     assert capabilities.scene(model, run) is None
     assert capabilities.integration(model) is None

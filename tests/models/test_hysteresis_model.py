@@ -284,10 +284,10 @@ def test_products_are_determined_where_their_factors_are_not(of_products):
 def test_what_is_no_run_of_it_is_refused():
     model = truth_of("plays")
     arm = Run.from_arrays([0.0, 1.0], {"tip_z": [0.0, 0.1]}, definition={"free_motion": True})
-    with pytest.raises(InputError, match="arm model: give one of the hysteresis model"):
+    with pytest.raises(InputError, match="arm model: give a run of the hysteresis model"):
         model.prepare(arm)
     lone = Run.from_arrays([0.0, 1.0], {"angle": [0.0, 0.1]}, definition={"model": "hysteresis"})
-    with pytest.raises(InputError, match="one column of input or command, and has none"):
+    with pytest.raises(InputError, match="one column of input or command, but has none"):
         model.prepare(lone)
     both = Run.from_arrays(
         [0.0, 1.0],
@@ -370,13 +370,13 @@ def test_other_quantities_are_refused(tmp_path):
     with pytest.raises(InputError, match="is angle_rad, but what is inverted gives output_mm"):
         compensator_for_model(model).commands_for(wanted)
     other = of_columns(tmp_path, f"input_kPa,output_mm\n{rows}\n", "other")
-    with pytest.raises(InputError, match="column input_kPa where the model has command_deg"):
+    with pytest.raises(InputError, match="column input_kPa, but the model uses command_deg"):
         model.prepare(other)
-    with pytest.raises(InputError, match="column angle_rad where the model has output_mm"):
+    with pytest.raises(InputError, match="column angle_rad, but the model uses output_mm"):
         model.prepare(wanted)
     again = build_model("hysteresis", model.definition(), parameter_values(model))
     assert again.columns.output == "output_mm"
-    with pytest.raises(InputError, match="column input_kPa where the model has command_deg"):
+    with pytest.raises(InputError, match="column input_kPa, but the model uses command_deg"):
         again.prepare(other)
 
 

@@ -124,7 +124,7 @@ def test_a_bad_run_is_refused_with_a_sentence(channels, section, sentence):
 @pytest.mark.parametrize(
     ("section", "sentence"),
     [
-        ({"law": "empirical", "diameter_m": 0.003}, "'empirical' does not know"),
+        ({"law": "empirical", "diameter_m": 0.003}, "'empirical' does not have it"),
         ({"friction_pressures_kPa": [10.0]}, "but no friction"),
         ({"friction": "coulomb", "friction_pressures_kPa": [10.0, 5.0]}, "must increase"),
         ({"law": "ideal"}, "braided"),

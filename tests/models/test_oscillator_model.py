@@ -18,7 +18,7 @@ def test_times_and_even_samples_are_needed():
     uneven = Run.from_arrays([0.0, 1.0, 1.5], STILL, definition={"model": "oscillator"})
     with pytest.raises(InputError, match=r"not sampled evenly.*state \"linear\" in \[oscillator\]"):
         model.prepare(uneven)
-    with pytest.raises(InputError, match="hysteresis model: give one of the oscillator model"):
+    with pytest.raises(InputError, match="hysteresis model: give a run of the oscillator model"):
         model.prepare(Run.from_arrays([0.0, 1.0, 2.0], STILL))
     other = Run.from_arrays(
         [0.0, 1.0, 2.0],

@@ -167,7 +167,7 @@ def test_a_camera_on_a_bent_arm_moves_with_its_link(mount):
     np.testing.assert_allclose(view.centre, centre, atol=1e-12)
     np.testing.assert_allclose(view.axes, axes, atol=1e-12)
     np.testing.assert_allclose(camera.mounted_at(view), origin, atol=1e-12)
-    with pytest.raises(InputError, match=f"a camera on '{mount}' needs an arm"):
+    with pytest.raises(InputError, match=f"a camera on '{mount}' requires an arm"):
         camera.project(jnp.zeros(3))
 
 
@@ -236,7 +236,7 @@ def test_what_leaves_the_picture_is_missing_and_what_was_behind_is_named():
 @pytest.mark.parametrize(
     ("channel", "cameras", "says"),
     [
-        ("link02_u", {}, "no camera is described: give [camera.NAME]"),
+        ("link02_u", {}, "no camera is described: add [camera.NAME]"),
         ("top.link02_u", {"side": SIDE}, "must be side, so correct the name or give [camera.top]"),
         (
             "link02_u",

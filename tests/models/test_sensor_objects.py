@@ -361,9 +361,15 @@ def test_a_sensor_with_a_delay_shows_what_was_so_much_earlier():
         (gauge(values=AbstractSensor.values), "Gauge has no values: write it"),
         (gauge(channel=None), r"Gauge.channel is None: make it a giajax.schema.ChannelKind"),
         (gauge(row=("gauge", "gaugeNN", "ratio", "input")), "ChannelKind with the part .output."),
-        (gauge(row=("tip_position", "tip_x", "length", "output")), "of Gauge is that of giajax"),
-        (gauge(row=("imu_rate", "imuNN_gyro_x", "angle", "output")), "is that of gyroscope"),
-        (gauge(row=("gauge", "tip_x", "ratio", "output")), "there is a channel tip_x already"),
+        (
+            gauge(row=("tip_position", "tip_x", "length", "output")),
+            "of Gauge is already that of giajax",
+        ),
+        (
+            gauge(row=("imu_rate", "imuNN_gyro_x", "angle", "output")),
+            "is already that of gyroscope",
+        ),
+        (gauge(row=("gauge", "tip_x", "ratio", "output")), "there already is a channel tip_x"),
         (
             gauge(row=("gauge", "gauge(", "ratio", "output")),
             r"the channel gauge\( is not a valid name",
@@ -405,7 +411,7 @@ def test_a_cell_that_is_run_again_with_another_row_takes_its_former_one_away():
 @pytest.mark.quick
 @pytest.mark.usefixtures("own_rows")
 def test_a_sensor_that_no_result_could_name_is_refused():
-    with pytest.raises(InputError, match="the sensor 'left' is a Gauge, by which"):
+    with pytest.raises(InputError, match="the sensor 'left' is a Gauge, but must have the name"):
         Sensors(sensor={"left": gauge()()})
     powers = {"power": 1, "__annotations__": {"power": int}}
     power = giajax.register(gauge("Power", ("power", "powerNN", "ratio", "output"), **powers))
@@ -417,7 +423,9 @@ def test_a_sensor_that_no_result_could_name_is_refused():
     with pytest.raises(InputError, match="sensor Power has power = 2, which no file can state"):
         model.definition()
     model = giajax.ArmModel(giajax.takeichi_20m(2), sensors=Sensors(sensor={"Gauge": gauge()()}))
-    with pytest.raises(InputError, match="there is no registered sensor Gauge, and a result could"):
+    with pytest.raises(
+        InputError, match="there is no registered sensor Gauge, so that a result could"
+    ):
         model.definition()
 
 

@@ -124,7 +124,9 @@ def test_a_path_in_two_models_is_one_parameter():
 
 
 def test_a_path_of_two_meanings_is_refused():
-    with pytest.raises(InputError, match="'amplitude' is another quantity in the hysteresis model"):
+    with pytest.raises(
+        InputError, match="'amplitude' is a different quantity in the hysteresis model"
+    ):
         SeveralModels((Wave(), Metres()))
 
 

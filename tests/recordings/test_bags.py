@@ -171,7 +171,7 @@ def test_a_bad_bag_is_one_sentence(tmp_path, monkeypatch):
         ("torn.mcap", {}, "is not a complete MCAP file"),
         ("text.db3", {}, "file is not a database"),
         ("gone.mcap", {}, "gone.mcap fails (FileNotFoundError"),
-        ("bag", {"axes": ("x", "-y")}, "--axes changes nothing in this table of ROS 2: leave it"),
+        ("bag", {"axes": ("x", "-y")}, "--axes has no effect on this table of ROS 2: omit it"),
         ("bag", {"frame_rate": 5.0}, "a bag contains its own time stamps: omit --frame-rate"),
     ]:
         with pytest.raises(InputError) as caught:
@@ -248,11 +248,11 @@ ENDLESS = (
     " x AS timestamp, zeroblob(1000) AS data FROM c"
 )
 FILES = {
-    "unpacks to more than 100 times": mcap(topic(), chunk(bytes(1 << 25)), GOOD),
+    "decompresses to more than 100 times": mcap(topic(), chunk(bytes(1 << 25)), GOOD),
     "has chunks of more than 134,217,728 bytes": mcap(topic(), chunk(b"", size=1 << 40), GOOD),
     "is not the stated 100 bytes": mcap(topic(), chunk(bytes(1 << 25), size=100), GOOD),
     "is compressed with 'tars'": mcap(topic(), chunk(GOOD).replace(b"zstd", b"tars")),
-    "is cut off": mcap(topic(), b"\x05" + b"\xff" * 8, GOOD),
+    "is truncated": mcap(topic(), b"\x05" + b"\xff" * 8, GOOD),
     "is not a complete MCAP file": mcap(topic(), GOOD)[:-30],
     "has 2 messages, but states that it has 5": mcap(
         topic(), GOOD, end=record(11, struct.pack("<QHIIIIQQ", 5, 1, 1, 0, 0, 0, 0, 1), bytes(4))
@@ -270,14 +270,16 @@ FILES = {
     "has 2 names but 1 values of position": mcap(topic(), told(0, ["a", "b"], [1.0])),
     "/j/a is inf in a message": mcap(topic(), told(0, ["a"], [np.inf])),
     "has the receipt time 18446744073709551615": mcap(topic(), told(0, ["a"], [1.0], at=2**64 - 1)),
-    "have another JointState than that of ROS 2": mcap(topic(TURNED), GOOD),
-    "of /j have another JointState": mcap(
+    "have a JointState that differs from that of ROS 2": mcap(topic(TURNED), GOOD),
+    "of /j have a JointState that differs": mcap(
         topic(), GOOD, topic(TURNED, number=2), told(2, ["a"], number=2)
     ),
-    "another JointState": mcap(topic(f"JointState[] more\n{DEFINITION}"), GOOD),
+    "a JointState that differs from": mcap(topic(f"JointState[] more\n{DEFINITION}"), GOOD),
     "but must be encoded as cdr": mcap(topic(form="json"), GOOD),
-    "are in 'json', but": mcap(topic(), GOOD, topic(form="json", number=2), told(2, [], number=2)),
-    f"messages of /j are {JOINTS} and {POSE}": mcap(
+    "are encoded as 'json', but": mcap(
+        topic(), GOOD, topic(form="json", number=2), told(2, [], number=2)
+    ),
+    f"messages of /j are of two types, {JOINTS} and {POSE}": mcap(
         topic(), GOOD, topic("", number=2, kind=POSE), told(2, ["a"], number=2)
     ),
     "reading a message of /j in": mcap(topic(), told(0, data=DATA[:20] + b"\xff" * 4 + DATA[24:])),
@@ -303,10 +305,10 @@ SCRIPTS = {
     f" INSERT INTO message_definitions VALUES ('{JOINTS}', 'ros2msg')",
     f"two definitions of {JOINTS}": "INSERT INTO message_definitions SELECT 9, topic_type,"
     f" encoding, 'float64 x', '' FROM message_definitions WHERE topic_type = '{JOINTS}'",
-    f"messages of /j are {JOINTS} and {POSE}": "INSERT INTO topics SELECT 9, name,"
+    f"messages of /j are of two types, {JOINTS} and {POSE}": "INSERT INTO topics SELECT 9, name,"
     f" '{POSE}', 'cdr', '', '' FROM topics LIMIT 1; UPDATE messages SET topic_id = 9 WHERE id = 2",
-    "are in 'json', but must be encoded as cdr": "INSERT INTO topics SELECT 9, name, type, 'json',"
-    " '', '' FROM topics LIMIT 1; UPDATE messages SET topic_id = 9 WHERE id = 2",
+    "are encoded as 'json', but must be encoded as cdr": "INSERT INTO topics SELECT 9, name, type,"
+    " 'json', '', '' FROM topics LIMIT 1; UPDATE messages SET topic_id = 9 WHERE id = 2",
     "contains a topic twice": "ALTER TABLE topics RENAME TO t; CREATE TABLE topics AS SELECT * "
     "FROM t;"
     " INSERT INTO topics SELECT * FROM t",

@@ -117,7 +117,7 @@ def test_a_preset_that_no_one_named_is_said():
 
 def test_lists_of_an_own_arm_say_how_many_links_it_has():
     arm = {"preset": "chain", "link_mass_kg": [0.1, 0.2, 0.3]}
-    with pytest.raises(InputError, match="is of link 5, but the arm has 3 links"):
+    with pytest.raises(InputError, match="refers to link 5, but the arm has only 3 links"):
         Run.from_arrays([0.0, 1.0], {"joint01_command": [0, 1], "link05_z": [0, 1]},
                         definition={"arm": arm})  # fmt: skip
 

@@ -122,7 +122,7 @@ def test_a_frame_of_a_run_is_its_file(tmp_path):
 @pytest.mark.parametrize(
     ("frame", "units", "error"),
     [
-        (3.0, None, "is not made from a float"),
+        (3.0, None, "cannot be made from an object of type float"),
         (COLUMNS, {"tip_y": "m"}, "units contains 'tip_y', which is not a column"),
         (COLUMNS | {"tip_z_m": TIMES}, None, "both give tip_z"),
         (COLUMNS | {"tip_y": TIMES}, None, "tip_y"),

@@ -132,7 +132,7 @@ WRONG = {
     "time falls": ([0, 1, 0.5, 2], COMMAND, {}, ["sample 2", "from 1 s to 0.5 s"]),
     "time missing": ([0, NAN, 1, 2], COMMAND, {}, ["sample 1", "empty"]),
     "time infinite": ([0, 1, 2, math.inf], COMMAND, {}, ["sample 3", "infinite"]),
-    "no times": (None, COMMAND, {}, ["no times", "arm run"]),
+    "no sample times": (None, COMMAND, {}, ["no sample times", "arm run"]),
     "one sample": ([0.0], {"joint01_command": [0.0]}, {}, ["1 sample,", "at least 2"]),
     "no sample": ([], {"joint01_command": []}, {}, ["0 samples", "at least 2"]),
     "no channel": (TIMES, {}, {}, ["only a time column"]),

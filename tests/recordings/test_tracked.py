@@ -89,7 +89,7 @@ def test_kinovea_has_y_upwards_from_its_origin(tmp_path, text):
             "'elbow x' has 'left' in row 5, but must have",
         ),
         (DEEPLABCUT.replace("1,404.5", "404.5"), "row 5 has 6 cells"),
-        (DEEPLABCUT.replace("\n3,", "\n1,"), "each once"),
+        (DEEPLABCUT.replace("\n3,", "\n1,"), "must increase from row to row"),
         (DEEPLABCUT.replace("x,y,l", "x,z,l", 1), "'elbow' has no columns x and y"),
         (DEEPLABCUT.split("\n0,")[0] + "\n", "no rows"),
         (DEEPLABCUT.replace("tip end", "elbow"), "two points that are called 'elbow'"),
@@ -222,7 +222,7 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
         ),
         (
             ["--frame-rate", "50", "--origin", "0,9"],
-            "--origin changes nothing in this table of DeepLab",
+            "--origin has no effect on this table of DeepLab",
         ),
         (
             ["--frame-rate", "50", "--point", "elbow=tip", "--point", "tip end=tip"],

@@ -184,7 +184,7 @@ def test_elements_are_the_numbers_that_a_path_stands_for(arm):
         ("links", "there is no parameter 'links'"),
         ("joints.stiffness", "there is no parameter 'joints.stiffness'"),
         ("links.mass[3]", "is beyond the 3 elements of 'links.mass': indices run from 0 to 2"),
-        ("gravity[0]", "'gravity' is a single number: leave out the index in 'gravity[0]'"),
+        ("gravity[0]", "'gravity' is a single number: omit the index in 'gravity[0]'"),
     ],
 )
 def test_a_wrong_path_is_refused_with_a_way_on(arm, path, sentence):

@@ -106,7 +106,7 @@ def test_derivatives_follow_from_the_mode(mode, derivative):
             {"stepsize_controller": 0.1},
             "the step size controller is float, which does not choose step sizes",
         ),
-        ({"solver": 5}, "unknown solver '5': use one of tsit5, .* or one of diffrax"),
+        ({"solver": 5}, "there is no solver '5': use one of tsit5, .* or one of diffrax"),
         ({"solver": "euler"}, "there is no solver 'euler': use one of"),
         ({"solver": "Euller()"}, "there is no solver Euller: give one of diffrax, or register"),
         (

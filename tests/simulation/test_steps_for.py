@@ -100,7 +100,9 @@ def test_a_disturbance_needs_steps_for_derivatives(part, derivatives, compiled):
         return moved.rates[-1, 0]
 
     derivative = (jax.jacfwd if derivatives == "forward" else jax.grad)(last)
-    with pytest.raises(TypeError, match=r"by a disturbance .*: call simulate with steps_for="):
+    with pytest.raises(
+        TypeError, match=r"with respect to a disturbance .*: call simulate with steps_for="
+    ):
         (jax.jit(derivative) if compiled else derivative)(0.1)
 
 

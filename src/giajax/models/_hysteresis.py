@@ -76,7 +76,7 @@ class Columns:
         for mine, other in zip(own, theirs, strict=True):
             if mine is not None and other is not None and not comparable(mine, other):
                 raise InputError(
-                    f"'{run.name}' has the column {other.column} but the model uses "
+                    f"'{run.name}' has the column {other.column}, but the model uses "
                     f"{mine.column}: give a run of the same quantity"
                 )
 

@@ -57,7 +57,7 @@ def solver(named: Solver, *, reverse: bool = True) -> "diffrax.AbstractSolver[An
     # A solver around what is none has no terms.
     if not (isinstance(method, diffrax.AbstractSolver) and hasattr(method, "term_structure")):
         raise InputError(
-            f"unknown solver '{named}': use one of {', '.join(SOLVERS)}, or one of diffrax, "
+            f"there is no solver '{named}': use one of {', '.join(SOLVERS)}, or one of diffrax, "
             "such as Kvaerno4()"
         )
     if method.term_structure is not diffrax.AbstractTerm:

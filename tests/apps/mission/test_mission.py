@@ -150,7 +150,10 @@ def test_the_air_has_its_speed():
         ({"mission__opening": "front"}, "'front' is not a wall with an opening"),
         ({"arm__obstacles": []}, "no opening is around the arm"),
         ({"mission__limit_s": -1.0}, "mission.limit_s = -1.0 must be a positive number"),
-        ({"mission__operator__approach": {"joints": [1, 2], "angles_deg": [3.0]}}, "give as many"),
+        (
+            {"mission__operator__approach": {"joints": [1, 2], "angles_deg": [3.0]}},
+            "give one angle for each joint",
+        ),
         ({"mission__operator__approach": {"joints": [21], "angles_deg": [3.0]}}, "bends joint 21"),
     ],
 )

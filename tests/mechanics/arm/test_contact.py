@@ -339,7 +339,7 @@ def test_clearance_is_the_distance_of_the_skin_and_has_its_slope():
     assert float(mechanics.clearance(around, bent)[0, 0]) == pytest.approx(low)
     slope = jax.jacfwd(lambda each: mechanics.clearance(around, each)[0, 0])(bent)
     assert slope[0] == pytest.approx(length / 2 * math.cos(0.1))
-    with pytest.raises(InputError, match="nothing around it"):
+    with pytest.raises(InputError, match="has no obstacles to keep clear of"):
         mechanics.clearance(takeichi_20m(2), jnp.zeros(2))
 
 

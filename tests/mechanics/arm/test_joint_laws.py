@@ -453,7 +453,11 @@ class Astray(Memory):
         (Sloping(), r"Sloping.state_slopes returns the shape \(.*: return \(\(1, 4\)"),
         (Giving(), "Giving.torque releases more energy than Giving.energy had stored"),
         (Forgetting(), "Forgetting.torque releases more energy than Forgetting.energy had stored"),
-        (Rough(), "Rough.torque has a derivative by its rates that is not finite at .* 0 rad/s"),
+        (
+            Rough(),
+            "Rough.torque has a derivative with respect to its rates that is not finite at .* 0 "
+            "rad/s",
+        ),
         (Infinite(), "Infinite.energy has a value that is not finite at"),
         (Counted(), "Counted.rows is a field: make it a constant of the class"),
         (Backwards(), "Backwards.rows is -1: give the number of states"),
@@ -566,7 +570,7 @@ def test_a_law_without_its_method_is_refused_by_its_name():
 
 
 def test_names_of_laws_are_those_of_registered_ones_each_once():
-    with pytest.raises(InputError, match="there is no joint law 'Nobodys': register it"):
+    with pytest.raises(InputError, match="there is no registered joint law 'Nobodys': register it"):
         takeichi_20m(2, joint_laws=["Nobodys"])
     with pytest.raises(InputError, match="Creep appears twice in joint_laws"):
         takeichi_20m(2, joint_laws=["Creep", Creep()])

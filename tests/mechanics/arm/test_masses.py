@@ -185,7 +185,7 @@ def camera(link, **places):
         ),
         (
             lambda: takeichi_20m(point_masses=camera(99)),
-            "a point mass is on link 99 of an arm of 20 links: correct the number",
+            "a point mass is on link 99 of an arm with only 20 links: correct the number",
         ),
         (lambda: camera(0), "a point mass has no link, or one below 1: number its link"),
         (

@@ -214,7 +214,7 @@ def test_what_has_no_neutral_value_must_be_stated(left_out, named):
     options = {name: value for name, value in ARM.items() if name != left_out}
     with pytest.raises(giajax.InputError, match=named):
         giajax.chain(LINKS, **options | {"parameters": known})
-    with pytest.raises(giajax.InputError, match="no number of links"):
+    with pytest.raises(giajax.InputError, match="the number of links of this arm is unknown"):
         giajax.mechanics.arm.preset("chain")
 
 

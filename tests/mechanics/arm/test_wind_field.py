@@ -181,7 +181,7 @@ def test_derivatives_by_its_parameters_are_those_of_differences_at_rest_too():
         expected = (tip(at + step) - tip(at - step)) / (2 * step)
         assert_allclose(slope, expected, rtol=1e-4, atol=1e-6)
     assert np.abs(expected).max() > 1e-3
-    with pytest.raises(TypeError, match="differentiated by a disturbance"):
+    with pytest.raises(TypeError, match="differentiated with respect to a disturbance"):
         jax.jvp(lambda growth: tip(growth, "motion"), (jnp.ones(()),), (jnp.ones(()),))
 
 
@@ -284,7 +284,7 @@ def test_a_wind_is_tried_where_the_arm_is():
     takeichi_20m(**upright, base_rotation=(0.0, -np.pi / 2, 0.0), wind_field=above_ground)
     with pytest.raises(InputError, match="above_ground has a value that is not finite"):
         takeichi_20m(**upright, base_rotation=(0.0, np.pi / 2, 0.0), wind_field=above_ground)
-    with pytest.raises(InputError, match="there is no wind 'Nobodys': register it"):
+    with pytest.raises(InputError, match="there is no registered wind 'Nobodys': register it"):
         takeichi_20m(2, wind_field="Nobodys")
 
 

@@ -109,7 +109,7 @@ def test_a_loop_without_branches_is_refused():
     with pytest.raises(InputError, match="rising branch of the loop has 3"):
         branches_from_loop(back, missing, travel=0.1)
     for travel in (0.0, -1.0, np.inf):
-        with pytest.raises(InputError, match="positive one"):
+        with pytest.raises(InputError, match="positive travel"):
             branches_from_loop(back, back, travel=travel)
 
 

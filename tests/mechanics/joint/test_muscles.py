@@ -140,10 +140,10 @@ def test_the_law_can_be_differentiated(muscle):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ((-1.0, 0.1), "0 or more"),
+        ((-1.0, 0.1), "at least 0"),
         ((1e5, 1.0), "not in percent"),
         ((np.nan, 0.1), "pressure is not finite"),
-        (([1e5, 1e5], [0.1, 0.1, 0.1]), "arrays of one shape"),
+        (([1e5, 1e5], [0.1, 0.1, 0.1]), "arrays of the same shape"),
     ],
 )
 def test_bad_arguments_are_refused_with_a_sentence(arguments, sentence):

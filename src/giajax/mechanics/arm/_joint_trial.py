@@ -103,7 +103,7 @@ def _check_shapes(law: AbstractJointLaw, joints: int) -> None:
         kinds = {str(x.dtype) for x in jax.tree.leaves(found)} - {str(each.dtype)}
         if kinds:
             raise InputError(
-                f"{name}.{method} returns {kinds.pop()} but the angles are {each.dtype}: return "
+                f"{name}.{method} returns {kinds.pop()}, but the angles are {each.dtype}: return "
                 f"numbers of the same type as the angles"
             )
 

@@ -142,7 +142,7 @@ def play(
     if method is None:
         method = "scan" if jax.default_backend() == "cpu" else "associative"
     if method not in METHODS:
-        raise InputError(f"unknown method '{method}': use one of {', '.join(METHODS)}")
+        raise InputError(f"there is no method '{method}': use one of {', '.join(METHODS)}")
     state = jnp.zeros_like(thresholds) if state is None else state
     if method == "scan":
         return _scan(inputs, thresholds, state)

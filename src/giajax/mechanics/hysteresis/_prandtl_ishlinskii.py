@@ -143,7 +143,7 @@ class PrandtlIshlinskii(AbstractPlays):
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds, self.weights)
         if self.elements not in ELEMENTS:
-            raise InputError(f"unknown elements '{self.elements}': use play or stop")
+            raise InputError(f"there are no elements '{self.elements}': use play or stop")
 
     def of_plays(self) -> tuple[Scalar, PerThreshold]:
         """Elastic weight and weights of the same operator written with plays.

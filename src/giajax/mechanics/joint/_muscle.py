@@ -21,7 +21,7 @@ _MEANING = {
     REACHED: "reached",
     NEEDS_PUSH: "the muscle would have to push, which is impossible: raise the co-contraction "
     "torque",
-    NEEDS_PRESSURE: "the force requires a pressure above the limit: give a smaller force or a "
+    NEEDS_PRESSURE: "the force requires more than the pressure limit: give a smaller force or a "
     "wider muscle",
     TOO_SHORT: "the muscle does not reach this contraction at any pressure: give a smaller "
     "contraction",
