@@ -168,7 +168,7 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
         ({"kind": "camera"}, r"there already is a section \[camera\]: give the model another kind"),
         (
             {"channels": (ChannelKind("tip", "tip_x", "angle", "output"),)},
-            "there is a channel tip_x already, the length 'tip_position': declare tip_x, the angle",
+            "there already is a channel tip_x, the length 'tip_position': declare tip_x, the angle",
         ),
         (
             {"channels": (ChannelKind("force", "force", "torque", "output"),)},
@@ -202,11 +202,11 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
         ),
         (
             {"channels": row("cord", "length", noise="position")},
-            "cord has no noise of the key 'position': use position_m, or leave it out",
+            "cord refers to the unknown noise key 'position': use position_m, or omit it",
         ),
         (
             {"channels": row("cord", "force", noise="position_m")},
-            "cord has no noise of the key 'position_m': leave it out",
+            "cord refers to the unknown noise key 'position_m': omit it",
         ),
     ],
 )

@@ -154,7 +154,7 @@ def test_a_step_that_leads_a_tied_parameter_beyond_its_bounds_is_rejected():
     [
         ({"ties": {"decay": "2 * decoy"}}, "no parameter 'decoy': did you mean 'decay'?"),
         ({"ties": {"decoy": "2 * decay"}}, "no parameter 'decoy': did you mean 'decay'?"),
-        ({"ties": {"decay": "2 *"}}, "ties is not right for decay, because the expression"),
+        ({"ties": {"decay": "2 *"}}, "ties is not valid for decay, because the expression"),
         ({"ties": {"decay": "2"}}, "contains no parameter: include a parameter"),
         ({"ties": {"decay": "decay"}}, "the ties of 'decay' follow from themselves: tie"),
         ({"ties": {"decay": "twin", "twin": "decay"}}, "'decay' and 'twin' follow from themselves"),

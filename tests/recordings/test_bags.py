@@ -138,8 +138,8 @@ def test_messages_of_a_bag_have_one_clock_and_none_is_lost(tmp_path):
     for number, (wrong, says) in enumerate([
         ([(0.0, 0.0), (0.5, None)], "1 of 2 messages of /cmd have no time stamp"),
         ([(0.0, 0.2), (0.4, 0.2), (0.5, 0.2), (0.6, 0.7)], "2 of 4 messages of /cmd have the same"),
-        ([(0.0, -BEGAN + 5.0)], "the clocks of /cmd and /tip lie 1.7e+09 s apart, but the"),
-        ([(0.0, 90.0), (0.5, 90.5)], "the clocks of /tip and /cmd lie 89 s apart, but the bag las"),
+        ([(0.0, -BEGAN + 5.0)], "the clocks of /cmd and /tip differ by 1.7e+09 s, but the"),
+        ([(0.0, 90.0), (0.5, 90.5)], "the clocks of /tip and /cmd differ by 89 s, but the bag las"),
     ]):  # fmt: skip
         commands = [("/cmd", at, joints(time, ["a"], [at])) for at, time in wrong]
         path = write_bag(tmp_path, sorted([*tip, *commands], key=lambda each: each[1]), f"{number}")

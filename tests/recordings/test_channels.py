@@ -71,7 +71,7 @@ def test_conversion_keeps_shape_and_missing_cells():
 # What is given, and what the sentence must contain: the name and the remedy.
 WRONG = [
     ("link06_z_ft", ["'link06_z_ft'", "'ft'", "m, cm or mm"]),
-    ("link06_z", ["'link06_z'", "does not say its unit", "--rename link06_z=link06_z_m"]),
+    ("link06_z", ["'link06_z'", "does not state its unit", "--rename link06_z=link06_z_m"]),
     ("Link6_Z_m", ["did you mean 'link06_z_m'", "--rename Link6_Z_m=link06_z_m"]),
     ("Link 6 z_m", ["--rename 'Link 6 z_m=link06_z_m'"]),
     ("link6_z_m", ["did you mean 'link06_z_m'"]),

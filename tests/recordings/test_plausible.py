@@ -305,8 +305,8 @@ def test_a_neck_that_muscles_crush_is_named(radius, last, joint, held):
     definition["arm"]["link_pressure_kPa"] = gas
     said = [odd.sentence for odd in found(columns, definition) if "neck" in odd.sentence]
     whole = (
-        f"joint {joint} in its straight pose together by at least 3.33 N, and the gas in the neck "
-        f"withstands "
+        f"joint {joint} in its straight pose with at least 3.33 N, but the gas in the neck "
+        f"withstands only "
     )
     whole += str(held)
     assert [whole in each for each in said] == [True] * (held is not None)

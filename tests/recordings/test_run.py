@@ -177,7 +177,7 @@ def test_what_no_model_could_use_is_one_sentence(case):
 
 
 def test_noise_of_something_else_is_refused():
-    sentence = r"'length' has no noise: give that of position, angle, rate"
+    sentence = r"'length' has no noise: state the noise of position, angle, rate"
     with pytest.raises(InputError, match=sentence):
         arm(noise={"length": 0.1})
     with pytest.raises(InputError, match="positive"):

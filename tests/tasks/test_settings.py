@@ -114,7 +114,7 @@ def test_the_last_word_on_a_parameter_counts(path):
         ('bounds."a" = [1]', r"fit.bounds.a = \[1\] must be a list of two numbers, \[low, high\]"),
         ('bounds."a" = [1, nan]', "fit.bounds.a = nan must be a list of two numbers"),
         ('ties."a" = 2', "fit.ties.a = 2 must be an expression in quotes"),
-        ('ties."a" = "2"', "fit.ties is not right for a, because the expression '2' names no"),
+        ('ties."a" = "2"', "fit.ties is not valid for a, because the expression '2' contains no"),
         ('ties."a" = "f(b)"', "expression 'f.b.' must be made of numbers, paths"),
         ('groups."a" = ["x"]', "must be a list of lists of run names"),
         ('per_run = "a"', "fit.per_run = 'a' must be a list of parameter paths"),

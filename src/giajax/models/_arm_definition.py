@@ -361,7 +361,7 @@ def _check_fields(part: Any, what: str) -> None:
         value = getattr(part, field.name)
         if DECLARED not in field.metadata and value != field.default:
             raise InputError(
-                f"the {what} has {field.name} = {value!r}, which cannot be written to a file: "
+                f"the {what} has {field.name} = {value!r}, which no file can state: "
                 f"make it the default value in a class of its own"
             )
 

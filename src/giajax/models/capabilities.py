@@ -61,7 +61,9 @@ def conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[Run]) -
     Of the runs some may be of another kind, and determine the same parameters otherwise. Without
     the method the only sentence says that this is not checked.
     """
-    unknown = f"not checked: the {model.kind} model does not say what its parameters depend on"
+    unknown = (
+        f"not checked: the {model.kind} model does not declare the conditions of its parameters"
+    )
     return _asked(model, "conditions", [unknown], free, runs)
 
 

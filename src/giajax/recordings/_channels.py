@@ -127,7 +127,7 @@ def bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
     of = "it" if quantity is None else f"{_ARTICLE.get(quantity, 'a')} {quantity.replace('_', ' ')}"
     units = [unit for unit in units if unit]
     if suffix is None:
-        complaint = f"{what} {shown(name)} does not say its unit"
+        complaint = f"{what} {shown(name)} does not state its unit"
         remedy = f"rename it, for example with --rename {name}={name}_{units[0]}"
     else:
         complaint = f"{what} {shown(name)} has the unknown unit {shown(suffix)}"
@@ -349,7 +349,7 @@ def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) 
             continue
         if sidecar is not None and inferred not in (None, sidecar):
             raise InputError(
-                f"{source}: the sidecar says model = {sidecar!r}, but column {channel.column!r} "
+                f"{source}: the sidecar states model = {sidecar!r}, but column {channel.column!r} "
                 f"belongs to the model {inferred!r}: correct the sidecar or remove the column"
             )
         raise InputError(

@@ -120,8 +120,8 @@ def preset_sentence(taken: Collection[str], where: str = "[arm] names no preset"
     """That an arm is that of the default preset in what is not stated, and how to name another."""
     what = ", ".join(taken) if len(taken) < len(NO_NEUTRAL) else "the constants"
     return (
-        f"{where}: {what} are taken from the preset {DEFAULT_PRESET}; "
-        'state a preset in [arm], such as "chain" for an arm of your own'
+        f"{where}: {what} of the preset {DEFAULT_PRESET} are assumed; state a preset in [arm], "
+        'such as "chain" for an arm of your own'
     )
 
 

@@ -244,7 +244,7 @@ def _check_row(row: ChannelKind, others: Iterable[ChannelKind]) -> None:
     Raises:
         InputError: naming the row.
     """
-    what = f"the declaration of channel {row.column}"
+    what = f"the channel {row.column}"
     if row.quantity not in {None, *QUANTITIES}:
         raise InputError(
             f"{what} has the unknown quantity {row.quantity!r}: use {one_of(QUANTITIES)}"

@@ -81,6 +81,6 @@ def crushed(compression: float, held: float, *, joint: int | None = None) -> str
     which = "the straight joint" if joint is None else f"joint {joint} in its straight pose"
     least = "" if joint is None else "at least "
     return (
-        f"the muscles press {which} together by {least}{compression:.3g} N, and the gas in the neck"
-        f" withstands {held:.3g} N"
+        f"the muscles compress {which} with {least}{compression:.3g} N, but the gas in the neck "
+        f"withstands only {held:.3g} N"
     )

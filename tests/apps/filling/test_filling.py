@@ -260,7 +260,7 @@ def test_a_definition_goes_to_the_filling_and_back():
 BAD = {
     "shares alone": ({"shared": ((2,),)}, r"the links \[2\] share a bag, but must be neighbours"),
     "no neighbours": ({"shared": ((1, 3),)}, r"the links \[1, 3\] share a bag, but must be"),
-    "beyond": ({"shared": ((3, 4),)}, "link 4 shares a bag, but the arm has 3 links: correct"),
+    "beyond": ({"shared": ((3, 4),)}, "link 4 shares a bag, but the arm has only 3 links: correct"),
     "twice": (
         {"shared": ((1, 2), (2, 3))},
         "link 2 is in two lists of shared bags, but can belong to only one bag: put all",

@@ -90,7 +90,7 @@ def test_the_rest_angle_has_its_slope_by_the_gas():
 
 
 def test_a_crushed_neck_is_refused():
-    with pytest.raises(InputError, match=r"gas in the neck withstands 0\.785 N"):
+    with pytest.raises(InputError, match=r"gas in the neck withstands only 0\.785 N"):
         equilibria(JointPair(neck=Neck(radius=0.05, pressure=100.0)), pressures(10.0))
 
 
