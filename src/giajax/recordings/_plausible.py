@@ -48,7 +48,7 @@ def oddities(run: Run) -> list[Oddity]:
         >>> values = {"joint01_command": [0.0, 30.0, 30.0], "link01_z": [0.0, 0.1, 0.2]}
         >>> [odd] = giajax.recordings.oddities(giajax.Run.from_arrays([0.0, 0.5, 1.0], values))
         >>> odd.code, odd.remedy
-        ('units', '--rename joint01_command_rad=joint01_command_deg, if they are')
+        ('units', '--rename joint01_command_rad=joint01_command_deg, if this is the case')
     """
     look = Look(run)
     return [odd for check in _CHECKS for odd in check(look)]

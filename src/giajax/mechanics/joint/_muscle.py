@@ -339,8 +339,8 @@ def muscle_pressure(
     Example:
         >>> from giajax.mechanics.joint import BraidedMuscle, muscle_pressure
         >>> answer = muscle_pressure(BraidedMuscle(), 2.0, 0.35)
-        >>> bool(answer.reached), answer.message()
-        (False, 'the muscle does not contract so far at any pressure: give a smaller contraction')
+        >>> bool(answer.reached), answer.message().partition(": ")[2]
+        (False, 'give a smaller contraction')
     """
     force, contraction, length = _arrays(force, contraction, length)
     _check(contraction, length, force=force)
