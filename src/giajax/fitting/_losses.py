@@ -351,7 +351,7 @@ def _check_rho(loss: AbstractLoss) -> None:
 
     for name, values in names.items():
         refuse(~np.isfinite(values), f"has a {name} that is not finite", "correct it")
-    refuse(rho < 0, "is negative", "use a smooth function, such as r^2 near 0")
+    refuse(rho < 0, "is negative", "make it at least 0, and r^2 near 0")
     rounding = 1e-9 if rho.dtype == np.float64 else 1e-4
     uneven = np.abs(mirrored - rho) > rounding * np.abs(rho)
     refuse(uneven, "differs from what it is at -r", "make it depend on |r| alone")

@@ -253,7 +253,9 @@ class Operator:
         fresh, self._pressed = held - self._pressed, held
         self._pad_here = True
         if self.mapping.dead_men and not held & self.mapping.dead_men:
-            if np.any(self._wanted) or np.any(np.isfinite(self._target)):
+            moving = np.any(self._wanted) or np.any(np.isfinite(self._target))
+            tried = self.mapping.rates(dict(enumerate(axes)), self.joints)
+            if moving or (self.stopped == NOT_YET and np.any(tried)):
                 self._stop(LET_GO)
             return
         if fresh & self.mapping.stops:
@@ -293,7 +295,7 @@ class Operator:
         self._wanted = np.zeros(self.joints)
         self._target[:] = np.nan
         # The first reason is the cause.
-        if self.stopped is None:
+        if self.stopped in (None, NOT_YET):
             self.stopped = why
 
 

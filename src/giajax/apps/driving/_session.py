@@ -417,7 +417,7 @@ def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:
     It is read as a run is, by the same limits.
 
     Raises:
-        InputError: the file does not exist, or it is no such a table.
+        InputError: the file does not exist, or it is not such a table.
     """
     path = Path(path)
     columns = read_numbers(path)

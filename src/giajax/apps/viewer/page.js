@@ -47,10 +47,13 @@ function fit() {
   control.setPosition(...placed, false);
   control.setTarget(...turned(root.wxyz, place(far)), false);
 }
-document.addEventListener("pointerdown", (event) => {
-  if (event.target.localName === "canvas" && !aside.contains(event.target)) moved = true;
+document.addEventListener("pointermove", (event) => {
+  if (event.buttons && event.target.localName === "canvas" && !aside.contains(event.target)) moved = true;
 });
-document.addEventListener("keydown", (event) => { if (/^(Key[WASDQE]|Arrow)/.test(event.code)) moved = true; });
+document.addEventListener("keydown", (event) => {
+  const control = event.target.closest?.("input, select, button, [role=slider]");
+  if (!control && /^(Key[WASDQE]|Arrow)/.test(event.code)) moved = true;
+});
 document.addEventListener("wheel", (event) => { if (event.target.localName === "canvas") moved = true; });
 // Of a page around this one, whose arm goes where it has not been.
 window.showAll = (more) => { points = more; fit(); };
@@ -69,8 +72,16 @@ for (const [colour, text] of about.legend) {
   element("i", {}, row).style.background = colour;
   row.append(text);
 }
-element("button", { type: "button", textContent: "fit the view",
-  onclick: () => { moved = false; fitted = ""; fit(); } }, aside);
+element("button", { type: "button", textContent: "fit the view", onclick: async () => {
+  moved = false;
+  fitted = "";
+  if (about.live) {
+    // The arm may have been posed, or placed elsewhere, since the page was loaded.
+    const page = new DOMParser().parseFromString(await (await fetch(location.href)).text(), "text/html");
+    points = JSON.parse(page.getElementById("about").textContent).points;
+  }
+  fit();
+} }, aside);
 
 // ---- the plot: what was recorded as dots, and a line at the time that is shown
 const COLOURS = ["#0072b2", "#d55e00", "#009e73"];
@@ -91,7 +102,7 @@ function ticks(low, high, count) {
 function draw() {
   if (!canvas || !aside.open) return;
   const value = document.querySelector("[role=slider]")?.ariaValueNow;
-  const time = about.first + Number(value ?? 0) - (about.live ? about.first : 0);
+  const time = about.live ? Number(value ?? about.first) : about.first + Number(value ?? 0);
   const [width, height] = [canvas.clientWidth, canvas.clientHeight], ratio = devicePixelRatio;
   const key = [time, width, height, choice.selectedIndex].join();
   if (key === drawn || !width) return;

@@ -135,7 +135,7 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
     if gusts < _GUSTS:
         notes.append(
             f"the record is {gusts:.0f} times as long as a gust, and standard errors are "
-            "approximate below {_GUSTS}"
+            f"approximate below {_GUSTS}"
         )
     if found.swing > _SWINGS:
         notes.append(
