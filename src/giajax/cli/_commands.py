@@ -165,6 +165,8 @@ def with_options(registered: Registered) -> Function:
             configure()  # before it imports Equinox, or makes an array
         for path in plugin or ():
             load_plugin(path)
+        if (formats or dpi) and given.get("figures") is False:
+            raise InputError("--no-figures draws nothing: omit it, or omit --format and --dpi")
         with pictures_as(formats or (), dpi):
             function(**given)
 

@@ -22,12 +22,12 @@ from ..recordings import (
 )
 from ..runtime.files import parse_json, read_bytes
 from ..runtime.limits import RESULT_BYTES
-from ..runtime.pictures import FORMATS
+from ..runtime.pictures import FORMATS, SIGNATURE
 from ..runtime.records import plain_data
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import find, switched_on
 from ..studies import with_fitted_states
-from ._text import PAGE, RESULT, SIGNATURE
+from ._text import PAGE, RESULT
 
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = (

@@ -8,9 +8,9 @@ from ..fitting import FitResult
 from ..recordings import Run
 from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
+from ..runtime.pictures import SIGNATURE
 from ..runtime.text import InputError, install_command
 from ..studies import Contrast
-from ._text import SIGNATURE
 from ._views import Table
 
 _NEEDED = ("bokeh", "jinja2")

@@ -24,9 +24,6 @@ _Run = TypeVar("_Run", RunFit, PredictionErrors, HeldOut)
 RESULT = "result.json"
 PAGE = "report.html"
 
-# Written into each picture and page: how a later fit knows one of an earlier from a person's.
-SIGNATURE = "giajax fit"
-
 MOST_RUNS = 6
 """How many are drawn: a picture takes a second, and twenty are too many to look at."""
 

@@ -116,7 +116,7 @@ class CamerasSection(_Named):
             if not re.fullmatch(CAMERA_NAME, name, re.ASCII) or name in taken:
                 raise ValueError(
                     f"has a camera {name!r}, but a name has letters, digits and _, begins with a "
-                    "letter and is not one of {', '.join(taken)}: rename it"
+                    f"letter and is not one of {', '.join(taken)}: rename it"
                 )
         return self
 
