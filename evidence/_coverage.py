@@ -167,11 +167,17 @@ def _unlike_pulls(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     return sentences
 
 
+def _shown(case: str) -> str:
+    """The stored name of a case in the words of the page."""
+    case = case.replace("plays of a joint", "play operators of a joint")
+    return case.replace("its size stated", "only its standard deviation stated")
+
+
 def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
-        "| model and noise | length of the run, correlation times | share of intervals that "
-        "contain the truth | p | verdict `inadequate` | that verdict is |",
+        "| model and noise | length of the run in correlation times | share of intervals that "
+        "contain the true value | p | verdict `inadequate` | is `inadequate` correct? |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for case, each in figures.items():
@@ -181,9 +187,9 @@ def table(figures: Figures) -> list[str]:
             for path, one in each["parameters"].items()
         )
         rows.append(
-            f"| {case} | {'-' if lengths is None else lengths} | {shares} | {p_value(each):.2g} | "
-            f"{100 * each['inadequate'] / fits:.1f} % | "
-            f"{'wrong' if each['adequate'] else 'correct'} |"
+            f"| {_shown(case)} | {'-' if lengths is None else lengths} | {shares} | "
+            f"{p_value(each):.2g} | {100 * each['inadequate'] / fits:.1f} % | "
+            f"{'no' if each['adequate'] else 'yes'} |"
         )
     return rows
 
@@ -191,8 +197,8 @@ def table(figures: Figures) -> list[str]:
 COVERAGE = Study(
     name="coverage",
     meaning=(
-        "Runs of three models with white or correlated noise are fitted from a start away from "
-        "the truth. The table lists how often the 95 % interval of a parameter contains the "
+        "Runs of three models with white or correlated noise are fitted from a start that differs "
+        "from the truth. The table lists how often the 95 % interval of a parameter contains the "
         "truth, the probability p of shares that deviate at least as much from 95 % (binomial "
         "test, corrected for the four parameters), and how often the verdict is `inadequate`. "
         "With white noise, or with a stated correlation, the nominal rate of `inadequate` is at "

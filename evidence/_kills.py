@@ -138,14 +138,14 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
-        "| fits with | kills | kills after the journal was opened | unreadable journals | same "
-        "numbers |",
+        "| starts of the fit | kills | kills after the journal was opened | unreadable journals | "
+        "fits with the same numbers |",
         "| --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
         rows.append(
             f"| {name} | {each['kills']} | {each['within_the_fit']} | "
-            f"{each['unreadable_journals']} | {each['same_numbers']} of {each['fits']} fits |"
+            f"{each['unreadable_journals']} | {each['same_numbers']} of {each['fits']} |"
         )
     return rows
 

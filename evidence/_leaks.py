@@ -210,23 +210,24 @@ def table(figures: Figures) -> list[str]:
             f"leaks of {1 - LEFT:.0%} detected within {WITHIN:g} s",
             f"{soon:.0%} (median {np.median(found):.1f} s, largest {max(found):.1f} s)",
         ),
-        ("largest error of the estimated time of the leak", f"{max(times):.1f} s"),
+        ("largest error of the estimated time at which the leak starts", f"{max(times):.1f} s"),
         ("estimated change of stiffness at detection", f"{min(sizes):.0%} to {max(sizes):.0%}"),
-        (f"false alarms per 20 h, from {figures['hours']:g} h", f"{false:.2g}"),
+        (f"false alarms per 20 h, in {figures['hours']:g} h of flight", f"{false:.2g}"),
         (
-            f"drag after {FLIES:g} s within {OFF:g} standard errors of the truth",
+            f"C_D after {FLIES:g} s within {OFF:g} standard errors of the truth",
             f"{right} of {len(arms)}",
         ),
         (
-            f"standard error of drag at most {WIDER:g} of that of a fit of these {FLIES:g} s",
+            f"standard error of C_D at most {WIDER:g} times that of a fit of these {FLIES:g} s",
             f"{sure} of {len(arms)} ({min(ratio):.2f} to {max(ratio):.2f})",
         ),
         (
-            "this ratio with the assumptions of the fit; deviation from the fit, standard errors",
+            "the same ratio under the assumptions of the fit; deviation from the fit in standard "
+            "errors",
             f"{min(alike):.3f} to {max(alike):.3f}; at most {off:.2f}",
         ),
         (
-            f"leaks detected in gusts, within {min(watched):.0f} to "
+            f"leaks detected in gusts within {min(watched):.0f} to "
             f"{max(watched):.0f} s (arms of {SHORT} links)",
             f"{called} of {len(gusty)}; standard error of the stiffness before the leak: "
             f"{min(known):.1%} to {max(known):.1%}",
@@ -237,7 +238,7 @@ def table(figures: Figures) -> list[str]:
         "| --- | --- |",
         *(f"| {name} | {cell} |" for name, cell in rows),
         "",
-        f"Leaks and drag are measured with arms of {figures['links']} links, false alarms with "
+        f"Leaks and C_D are estimated on arms of {figures['links']} links, false alarms on "
         f"arms of {SHORT} links. The arms move all the time, and the air is still except in the "
         "last row. A fit assumes that the initial state and the equation of motion are exact. The "
         "tracker assumes an uncertainty of 2 degrees in the initial angles, and its default "
@@ -250,8 +251,8 @@ LEAKS = Study(
     name="leaks",
     meaning=(
         "`giajax track --free` detects a leak while an arm flies, and estimates the drag "
-        "coefficient. The leak takes a fifth of the stiffness of all joints. The drag coefficient "
-        "is compared with a fit of the same run."
+        "coefficient. The leak reduces the stiffness of all joints by a fifth. The drag "
+        "coefficient is compared with a fit of the same run."
     ),
     size=10,
     seed=1,

@@ -205,9 +205,9 @@ def _share(figures: dict[str, Any], key: str) -> str:
 def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
-        "| noise and record | length, correlation times | coverage, giajax | coverage, white "
-        "noise assumed | coverage, GLSAR | coverage, HAC | warning: shorter than 20 correlation "
-        "times |",
+        "| noise and record | length in correlation times | coverage, giajax | coverage, white "
+        "noise assumed | coverage, GLSAR | coverage, HAC | records with the warning 'shorter than "
+        "20 correlation times' |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for case, each in figures.items():
@@ -227,7 +227,7 @@ NOISE = Study(
         "A linear model with four smooth regressors is fitted to records with noise of known "
         "correlation. The table lists how often the 95 % intervals contain the truth, for giajax "
         "and for three other methods. In a record shorter than 20 correlation times, no estimate "
-        "of the noise is reliable; a fit then prints a warning, which the last column counts."
+        "of the noise is reliable, and a fit prints a warning. The last column lists the rate of this warning."
     ),
     size=2000,
     seed=1,

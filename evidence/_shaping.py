@@ -118,8 +118,8 @@ def table(figures: Figures) -> list[str]:
     """A row for each duration and shaper."""
     rows = [
         "| duration of the move, periods | shaper | residual, median | residual, largest | within "
-        "2 % | stiffness changed by a quarter: median | largest | within 5 % | time until the tip "
-        "is at rest, median, s |",
+        "2 % | residual with a stiffness changed by a quarter, median | same, largest | same, "
+        "within 5 % | time until the tip is at rest, median, s |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for duration, each in figures["durations"].items():

@@ -181,8 +181,8 @@ def differing(stored: Figures, new: Figures, counts: Mapping[str, str]) -> list[
 def table(figures: Figures) -> list[str]:
     """A row for each omission."""
     rows = [
-        "| omitted effect | inadequate | among the first three suspects | as first suspect | other "
-        "first suspects |",
+        "| omitted effect | verdict `inadequate` | effect among the first three suspects | effect "
+        "is the first suspect | other first suspects |",
         "| --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():

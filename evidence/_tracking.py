@@ -205,13 +205,13 @@ def table(figures: Figures) -> list[str]:
     heads = [
         "arm",
         "NEES per state",
-        "within 95 %",
+        "states within their 95 % bands",
         "tip error, filter, m",
-        "smoother, m",
-        "in real time, m",
-        "error of the wind across, m/s",
+        "tip error, smoother, m",
+        "tip error, in real time, m",
+        "error of the crosswind, m/s",
         "time per event, ms",
-        "adequate",
+        "verdict adequate",
         "error of 0.2 s in the delay detected",
         "omitted gusts detected",
     ]
