@@ -160,7 +160,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     del stored
     offs = {name: each["by hand"]["off"] for name, each in new.items()}
     return [
-        f"{name}: the model by hand finds a drag {off} errors off"
+        f"{name}: the C_D of the reference model deviates by {off} standard errors"
         for name, off in offs.items()
         if off is None or abs(off) > OFF + 1
     ]

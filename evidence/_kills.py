@@ -126,7 +126,7 @@ def _numbers(folder: Path) -> dict[str, Any]:
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """Numbers that differ after a kill, and journals that cannot be read: none is by chance."""
     if not stored.keys() >= new.keys():
-        return ["the cases are others than those that are stored: run the study again"]
+        return ["the cases differ from the stored cases: run the study again"]
     return [
         f"{name}: {each['fits'] - each['same_numbers']} of {each['fits']} fits ended at other "
         f"numbers, and {each['unreadable_journals']} journals could not be read"

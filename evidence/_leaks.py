@@ -176,18 +176,18 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     soon, false, _, _ = _shares(new)
     sentences = []
     if soon < OFTEN and len(new["arms"]) * (1 - soon) > 1:
-        sentences.append(f"{soon:.0%} of the leaks are seen within {WITHIN:g} s")
+        sentences.append(f"{soon:.0%} of the leaks are detected within {WITHIN:g} s")
     if false > FALSE and sum(arm["false_alarms"] for arm in new["arms"]) > 1:
         sentences.append(f"{false:.1f} false alarms in 20 h")
     wide = max(arm["drag_error_over_fit"] for arm in new["arms"])
     if wide > 2 * WIDER:
-        sentences.append(f"the error of a drag is {wide:.1f} of that of a fit")
+        sentences.append(f"a standard error of C_D is {wide:.1f} times that of a fit")
     off = max(abs(arm["alike_from_fit_in_errors"]) for arm in new["arms"])
     if off > ALIKE:
-        sentences.append(f"a drag is {off:.2f} of its errors from that of a fit that is as sure")
+        sentences.append(f"a C_D differs by {off:.2f} standard errors from that of an equal fit")
     far = max(abs(arm["drag_off_in_errors"]) for arm in new["arms"])
     if far > 2 * OFF:
-        sentences.append(f"a drag is {far:.1f} of its errors off")
+        sentences.append(f"a C_D deviates from the truth by {far:.1f} standard errors")
     return sentences
 
 
@@ -238,8 +238,8 @@ def table(figures: Figures) -> list[str]:
         "| --- | --- |",
         *(f"| {name} | {cell} |" for name, cell in rows),
         "",
-        f"Leaks and C_D are estimated on arms of {figures['links']} links, false alarms on "
-        f"arms of {SHORT} links. The arms move all the time, and the air is still except in the "
+        f"Leaks and C_D are estimated on arms of {figures['links']} links. False alarms are counted "
+        f"on arms of {SHORT} links. The arms move all the time, and the air is still except in the "
         "last row. A fit assumes that the initial state and the equation of motion are exact. The "
         "tracker assumes an uncertainty of 2 degrees in the initial angles, and its default "
         "unmodelled torque. Gusts have a standard deviation of "

@@ -100,7 +100,7 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"Parameters drawn for each case, with the standard deviation of their logarithm: {drawn}. "
+        f"Parameters sampled for each case, and standard deviations of their logarithms: {drawn}. "
         "The air has a horizontal mean flow of 0.3 times its speed in any direction; gusts with a "
         "length scale of 2 m along the arm make up the rest. The radius of a link is 150 mm.",
     ]

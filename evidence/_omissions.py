@@ -462,7 +462,7 @@ def _is_named(case: Case, paths: tuple[str, ...]) -> bool:
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """What would happen by chance too seldom in the counts of this study."""
-    return differing(stored, new, {"adequate": "called adequate in", "named": "named in"})
+    return differing(stored, new, {"adequate": "judged adequate in", "named": "named in"})
 
 
 _SHOWN = {

@@ -140,7 +140,7 @@ def table(figures: Figures) -> list[str]:
         f"{np.nanmax(sooner):.2f}). A tip is counted as never at rest if it is not at rest within "
         "three periods of the slowest mode after the end of the command.",
         "",
-        f"Parameters drawn for each arm, with the standard deviation of their logarithm: {drawn}. "
+        f"Parameters sampled for each arm, and standard deviations of their logarithms: {drawn}. "
         f"The angle of the base joint is uniform from {ANGLES[0]:g} to {ANGLES[1]:g} degrees, and "
         f"another joint moves by half this angle. The largest rate is "
         f"{figures['rate_deg_per_s']:g} degrees per second.",
@@ -157,9 +157,9 @@ PLANS = Study(
     name="plans",
     meaning=(
         "The time until the tip of the paper's arm in full air is at rest after a move is "
-        "compared for three commands: a direct move at the largest rate, the same command shaped, "
-        "and the command of `giajax plan`. The last columns list the residual swing of an arm "
-        "whose stiffness differs by a quarter."
+        "compared for three commands: a direct move at the largest rate, the same command after "
+        "shaping, and the command of `giajax plan`. The last columns list the residual swing of "
+        "an arm whose stiffness differs by a quarter."
     ),
     size=6,
     seed=1,

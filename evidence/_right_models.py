@@ -83,7 +83,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     """What would happen by chance too seldom in the counts of this study."""
     from scipy.stats import binomtest
 
-    counts = {"adequate": "called adequate in", "with suspects": "accused by a suspect in"}
+    counts = {"adequate": "judged adequate in", "with suspects": "accused by a suspect in"}
     sentences = differing(stored, new, counts)
     for name, each in new.items():
         # Intervals of one fit go together: as many tests as there are recordings.

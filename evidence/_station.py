@@ -219,7 +219,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     swings = _numbers(new)
     pairs = zip(swings["nobody"], swings["mpc"], strict=True)
     return [
-        f"arm {number}: the tip swings by {held:.3f} m, and by {free:.3f} m where nobody holds it"
+        f"arm {number}: the tip swings by {held:.3f} m, and by {free:.3f} m without control"
         for number, (free, held) in enumerate(pairs)
         # In the short time of a test the arm that nobody holds hardly swings.
         if held > 2 * SHARE * free

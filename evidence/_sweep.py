@@ -221,7 +221,7 @@ def _speed(folder: Path, count: int) -> Figures:
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """Fits that are lost, done twice or other ones: none is by chance. How fast, is."""
     if stored.keys() != new.keys():
-        return ["the cases are others than those that are stored: run the study again"]
+        return ["the cases differ from the stored cases: run the study again"]
     return [
         f"{name}: {each['lost']} fits lost, {each['done_twice']} done twice, "
         f"{each['failed']} failed, {each['rows']} rows of {each['fits']}, and the table is "
