@@ -239,10 +239,10 @@ def table(figures: Figures) -> list[str]:
         *(f"| {name} | {cell} |" for name, cell in rows),
         "",
         f"Leaks and C_D are estimated on arms of {figures['links']} links. False alarms are "
-        f"counted on arms of {SHORT} links. The arms move all the time, and the air is still except "
-        "in the last row. A fit assumes that the initial state and the equation of motion are exact. The "
-        "tracker assumes an uncertainty of 2 degrees in the initial angles, and its default "
-        "unmodelled torque. Gusts have a standard deviation of "
+        f"counted on arms of {SHORT} links. The arms move all the time, and the air is still "
+        "except in the last row. A fit assumes that the initial state and the equation of motion "
+        "are exact. The tracker assumes an uncertainty of 2 degrees in the initial angles, and "
+        "its default unmodelled torque. Gusts have a standard deviation of "
         f"{INTENSITY * float(np.linalg.norm(MEAN)):.2g} m/s and are tracked.",
     ]
 
