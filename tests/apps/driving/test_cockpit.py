@@ -91,7 +91,7 @@ def test_the_page_drives(cockpit, browser, tmp_path):
         eventually(lambda: np.rad2deg(operator.command[0]) > 1.0)
         page.wait("document.getElementById('state').innerText == 'follows'")
         page.evaluate("navigator.getGamepads = () => []")
-        page.wait("document.getElementById('state').innerText == 'holds: the pad is gone'")
+        page.wait("document.getElementById('state').innerText == 'holds: the pad is disconnected'")
         stands = operator.command
         time.sleep(0.3)
         assert np.array_equal(operator.command, stands)

@@ -175,7 +175,7 @@ def test_drives_that_are_none(model):
     many = np.linspace(0.0, 1.0, 500_001)
     with pytest.raises(InputError, match="there are 500,001 rows: give 500,000 at most"):
         replay(session, {"time_s": many, "axis0": many})
-    with pytest.raises(InputError, match="nothing was driven"):
+    with pytest.raises(InputError, match="no time was driven"):
         session.record.run(["tip_z"])
     session.tick(0.0)
     session.tick(1.0)
