@@ -142,7 +142,7 @@ def _errors(axes: Axes, found: Design) -> None:
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(LogFormatter())
     axes.xaxis.set_minor_formatter(LogFormatter())
-    plain(axes, "Expected standard errors", "standard error over the value (%)")
+    plain(axes, "Expected standard errors", "standard error relative to the value (%)")
     axes.set_yticks(places, [path.replace(".", ".\n", 1) for path in paths])
     axes.set_ylim(-0.5, len(paths) - 0.5)
     axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0, -0.15), ncols=3)
