@@ -42,8 +42,8 @@ class Command:
         if self.times.ndim != 1 or self.angles.shape[:1] != self.times.shape or self.times[0] != 0:
             raise InputError(
                 f"the times of a command have the shape {self.times.shape} and its angles the "
-                "shape "
-                f"{self.angles.shape}: give one row of angles for each time, the first one at 0 s"
+                f"shape {self.angles.shape}: give one row of angles for each time, the first one "
+                "at 0 s"
             )
 
     def at(self, times: np.ndarray) -> np.ndarray:
@@ -153,7 +153,9 @@ def rest_at(arm: Arm, commanded: Array) -> Rest:
     return Rest(angles, off, by_angles, by_command, mass_matrix(arm, angles), tip, moves)
 
 
-def found_rest(arm: Arm, commanded: np.ndarray, where: str = "at the end of the command") -> Rest:
+def found_rest(
+    arm: Arm, commanded: np.ndarray, where: str = "for the final pose of the command"
+) -> Rest:
     """The arm about its rest by commanded angles (rad), in NumPy's arrays.
 
     Raises:
@@ -161,9 +163,7 @@ def found_rest(arm: Arm, commanded: np.ndarray, where: str = "at the end of the 
     """
     rest = rest_at(arm, jnp.asarray(commanded, jnp.result_type(float)))
     if not rest.known:
-        raise InputError(
-            f"no equilibrium of the arm was found {where}: choose other angles for this pose"
-        )
+        raise InputError(f"no equilibrium of the arm was found {where}: choose other angles")
     parts: Any = map(np.asarray, rest)
     return Rest(*parts)
 

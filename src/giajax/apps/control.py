@@ -59,8 +59,7 @@ class Compensator:
         if self.output_channel is not None and not comparable(channel, self.output_channel):
             raise InputError(
                 f"the target of '{run.name}' is {channel.column}, but the output of the inverted "
-                "model is "
-                f"{self.output_channel.column}: give a target of the same quantity"
+                f"model is {self.output_channel.column}: give a target of the same quantity"
             )
         values = run.values[channel.name]
         if np.any(np.isnan(values)):
@@ -78,16 +77,14 @@ class Compensator:
             raise InputError(
                 f"the target of '{run.name}' is {goal} {channel.unit} in sample {at + 1}, outside "
                 f"the reachable range of {' to '.join(ends)} {channel.unit}: change the target, or "
-                "fit a "
-                "run that covers a wider range"
+                "fit a run that covers a wider range"
             )
         commands = self.commands(np.clip(values, low, high))
         if not np.all(np.isfinite(commands)):
             at = int(np.flatnonzero(~np.isfinite(commands))[0])
             raise InputError(
                 f"no command reaches the target of '{run.name}' in sample {at + 1}: fit a "
-                "different "
-                "operator, or reduce the target"
+                "different operator, or reduce the target"
             )
         return commands
 

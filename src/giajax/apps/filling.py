@@ -326,8 +326,7 @@ def _shares(filling: Filling, share: npt.ArrayLike) -> _Numbers:
     if given.shape not in ((), (filling.bags,)):
         raise InputError(
             f"the filled share has the shape {given.shape}, but the arm has {filling.bags} bags: "
-            "give one "
-            "number, or one number for each bag"
+            "give one number, or one number for each bag"
         )
     # The integrator leaves traces below 0 in bags that nothing has reached.
     wrong = given[~((given >= -_TOLERANCE) & (given < np.inf))]

@@ -93,16 +93,15 @@ def read_mjcf(
         joint = int(np.argmax(off > _ON_LINE * size))
         raise InputError(
             f"{path}: the joint '{names[joint]}' is {off[joint]:.3g} m away from the line of the "
-            "other joints, "
-            "but all links must be straight at zero angles: move the joint, or set its ref"
+            "other joints, but all links must be straight at zero angles: move the joint, or set "
+            "its ref"
         )
     length = np.diff(([*anchors, ends] - anchors[0]) @ along)
     if not np.all(length > 0):
         joint = int(np.argmin(length > 0))
         raise InputError(
             f"{path}: the link of the joint '{names[joint]}' has no length along the arm: give it "
-            "a "
-            "length (the last link needs a geom or a site at its end)"
+            "a length (the last link needs a geom or a site at its end)"
         )
     world = _upright(-model.opt.gravity)
     frame = _frame(along, world[2])

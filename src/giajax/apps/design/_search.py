@@ -78,8 +78,7 @@ class Limits:
         if self.rows < 2 or abs(rows - self.rows) > 1e-6 * rows:
             raise InputError(
                 f"{self.duration:g} s at {self.sampling:g} rows per second does not give a whole "
-                "number "
-                "of at least 2 rows: change the duration or the sampling rate"
+                "number of at least 2 rows: change the duration or the sampling rate"
             )
 
     @property
@@ -93,8 +92,7 @@ class Limits:
             if not 1 <= joint <= count:
                 raise InputError(
                     f"joint {joint} is to move, but the arm has only joints 1 to {count}: correct "
-                    "the "
-                    "number"
+                    "the number"
                 )
 
 
@@ -128,8 +126,7 @@ class CommandSeries:
         if not 2 <= knots <= limits.rows:
             raise InputError(
                 f"the command has {knots} knots, but the experiment has {limits.rows} intervals: "
-                "give "
-                f"a number from 2 to {limits.rows}"
+                f"give a number from 2 to {limits.rows}"
             )
         rows = np.round(np.arange(knots + 1) * limits.rows / knots)
         return cls(limits, rows / limits.sampling)

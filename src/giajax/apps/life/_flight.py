@@ -95,8 +95,7 @@ def check_audited(arm: Arm) -> None:
         if law.rows and type(law).rate is AbstractJointLaw.rate:
             raise InputError(
                 f"the arm has joints with {type(law).__name__}, whose state variables have no "
-                "rate, so that "
-                "the energy of the motion cannot be balanced: use joints.memory"
+                "rate, so that the energy of the motion cannot be balanced: use joints.memory"
             )
 
 

@@ -200,8 +200,7 @@ def live(
     if not bool(eqx.tree_equal(made.filling.arm, arm)):
         raise InputError(
             "the unrolling and the mission use different arms: give the unrolling a filling of the "
-            "mission's "
-            "arm, mission.model.arm"
+            "mission's arm, mission.model.arm"
         )
     check_audited(arm)
     say("unrolling and filling")
@@ -224,8 +223,7 @@ def live(
     if not bool(courses["feed"].reached):
         raise InputError(
             f"the supply never inflates all links enough to bear the {pull:.1f} N pull of one "
-            "muscle: give a "
-            "stronger supply"
+            "muscle: give a stronger supply"
         )
     courses["raise"] = _gas("raise", made, courses["feed"].end, settles=1, duration=RAISING)
     settled = courses["raise"]

@@ -106,8 +106,7 @@ class Resting:
         if not run.commands:
             raise InputError(
                 f"'{run.name}' has no commands: add the commands of the resting arm, such as a "
-                "column "
-                "joint01_command_deg of zeros"
+                "column joint01_command_deg of zeros"
             )
         for name, row in run.commands.items():
             if Channel.named(name).kind != "joint_command":
@@ -159,8 +158,7 @@ class Resting:
         if seldom.any():
             raise InputError(
                 f"{names[int(np.argmax(seldom))]} of '{run.name}' has no two values that are "
-                f"{_LATER:g} s "
-                "apart: record the channel at a higher sampling rate"
+                f"{_LATER:g} s apart: record the channel at a higher sampling rate"
             )
         return found
 
@@ -331,8 +329,7 @@ def certificate(
     if np.sum(sound) < FEWEST_CASES:
         raise InputError(
             f"only {np.sum(sound)} of {len(rested)} missions could be simulated at rest, but a "
-            "probability "
-            f"needs {FEWEST_CASES}: increase --cases"
+            f"probability needs {FEWEST_CASES}: increase --cases"
         )
     features = features[sound]
     cases = tuple(each.case for each, used in zip(rested, sound, strict=True) if used)

@@ -419,8 +419,7 @@ class Mission:
         if far > reach:
             raise InputError(
                 f"the opening is {far:.1f} m from the base, but the arm is only {reach:.1f} m "
-                "long: "
-                "give a longer arm, or a nearer opening"
+                "long: give a longer arm, or a nearer opening"
             )
         return cls(
             model, section, opening, camera, CONTROLLERS[controller](section, model), controller

@@ -244,8 +244,7 @@ class Operator(AbstractController):
             if joint > joints:
                 raise InputError(
                     f"mission.operator.approach bends joint {joint}, but the arm has only {joints} "
-                    "joints: "
-                    "correct the number"
+                    "joints: correct the number"
                 )
             approach[joint - 1] = np.deg2rad(angle)
         return cls(

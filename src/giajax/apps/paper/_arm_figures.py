@@ -326,22 +326,19 @@ STYLES = {
 
 STAND_IN = (
     "the experiment, whose recordings are not public: rigid bodies simulated by MuJoCo, with drag "
-    "along the "
-    "links (C_D 1.1), added mass coefficient 1, a trim mass of 0.084 kg per link 0.15 m below the "
-    "axis, stiffness 2.6 and 30 "
-    "N m/rad, damping 0.04 N m s/rad, Dahl friction of 0.06 N m at 60 N m/rad in each joint, 0.05 "
-    "m/s of crosswind with gusts of up to 0.2 m/s, and a camera at 10 Hz with 20 mm of noise "
-    "(data/paper)."
+    "along the links (C_D 1.1), added mass coefficient 1, a trim mass of 0.084 kg per link 0.15 m "
+    "below the axis, stiffness 2.6 and 30 N m/rad, damping 0.04 N m s/rad, Dahl friction of 0.06 N "
+    "m at 60 N m/rad in each joint, 0.05 m/s of crosswind with gusts of up to 0.2 m/s, and a "
+    "camera at 10 Hz with 20 mm of noise (data/paper)."
 )
 
 _FIG19_SOURCES = Sources(
     printed="the model (eq. (1) at the centres of the links, 0.047 kg each), the base joint that "
     "bends, the four links, and the time window that table 3 compares (grey).",
-    assumed="the base joint bends to 30 deg within 1 s from 0.5 s on, and back from 12 s on; stiffness, damping "
-    "and C_D are fitted. giajax's own model has the stand-in's structure, trim and added mass, and "
-    "its friction is fitted, too. The run is the first of twenty. Without air, links swing beyond "
-    "the "
-    "range of the panels.",
+    assumed="the base joint bends to 30 deg within 1 s from 0.5 s on, and back from 12 s on; "
+    "stiffness, damping and C_D are fitted. giajax's own model has the stand-in's structure, trim "
+    "and added mass, and its friction is fitted, too. The run is the first of twenty. Without air, "
+    "links swing beyond the range of the panels.",
     reconstructed=STAND_IN,
 )
 
@@ -412,8 +409,8 @@ MARKS = {
 _TABLE3_SOURCES = Sources(
     printed="the definition of the concordance (mean of 1 - |Xm - Xe| / |Xe| every 0.1 s from 10 "
     "to 25 s), the links, and the numbers of the first two rows.",
-    assumed="that the displacement is z, and that the paper's model was fitted to the same run with which it "
-    "is compared; samples with Xe exactly 0 are omitted. giajax's own model has the "
+    assumed="that the displacement is z, and that the paper's model was fitted to the same run "
+    "with which it is compared; samples with Xe exactly 0 are omitted. giajax's own model has the "
     "stand-in's structure, trim and added mass; its C_D, stiffness, damping and friction are "
     "fitted to another run, in at most twelve iterations.",
     reconstructed=STAND_IN,

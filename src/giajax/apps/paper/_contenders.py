@@ -84,8 +84,7 @@ def compared(times: Float[np.ndarray, " sample"]) -> np.ndarray:
     if off.max() > 1e-6:
         raise InputError(
             f"the recording has no sample at {every[off.argmax()]:g} s, but table 3 compares "
-            "values "
-            "every 0.1 s from 10 to 25 s: sample the recording at these times"
+            "values every 0.1 s from 10 to 25 s: sample the recording at these times"
         )
     return rows
 

@@ -38,8 +38,9 @@ JOINTS = {1: VERMILLION, 3: BLUE, 5: GREEN}
 STEP_FOR = 1.0
 
 _FIG06_SOURCES = Sources(
-    printed="the computation of two pressures from a commanded angle, and of the torque from these (fig. 6 "
-    "and eqs (2) to (11)), 0.3 N m of co-contraction, alpha and beta, and the arm of table 2.",
+    printed="the computation of two pressures from a commanded angle, and of the torque from these "
+    "(fig. 6 and eqs (2) to (11)), 0.3 N m of co-contraction, alpha and beta, and the arm of table "
+    "2.",
     assumed=f"the joint's geometry, the law of the muscles, alpha and beta blended over 1{DEGREE} "
     f"about 0, springs of the pair's stiffness at {STEP_DEG:g}{DEGREE}, C_D = 1.2, damping 0.05 N "
     f"m s/rad, joint 1 commanded to {STEP_DEG:g}{DEGREE} within {STEP_FOR:g} s, all others to 0.",
@@ -127,8 +128,7 @@ ANGLES = (-60.0, -40.0, -20.0, 20.0, 40.0, 60.0)
 
 _ASSUMED = (
     "the points where muscle, wire and bush are fixed, and the lengths of wire (0.34 m) and muscle "
-    "(1.96 m): "
-    "the paper gives no coordinates."
+    "(1.96 m): the paper gives no coordinates."
 )
 _NOT_DRAWN = "nothing; the paper gives its measured points only in a figure, so they are not drawn."
 
