@@ -98,9 +98,12 @@ BAD = {
     "no order": ('order = "both"', 'must be "roll first" or "by gas"'),
     "no hand": ('hand = "foot"', 'must be "speed" or "force"'),
     "no yes": ("carried = 1", "must be true or false"),
-    "a small roll": ("roll_radius_mm = 40.0", "the roll has a radius of 40 mm and its core one of"),
+    "a small roll": (
+        "roll_radius_mm = 40.0",
+        "the radius of the roll is 40 mm, and the radius of its core",
+    ),
     "thick film": ("film_thickness_mm = 2.0", "a layer of the roll is 1.19 mm thick, but two film"),
-    "paid out": ("start_length_m = 30.0", "30 m are paid out at the beginning, but the arm has"),
+    "paid out": ("start_length_m = 30.0", "30 m are paid out at the start, but the arm is only"),
 }
 
 

@@ -18,7 +18,7 @@ PLAN_HEADINGS = (
     "command",
     "command ends, s",
     "tip at rest, s",
-    "distance from target, % of travel",
+    "off target, % of travel",
     "residual",
     "stiffness -25 %",
     "stiffness +25 %",
