@@ -177,7 +177,7 @@ def test_what_is_lost_is_said(tmp_path):
         ("<mujoco><worldbody/></mujoco>", "has no joint"),
         ("<muj", "MuJoCo cannot read"),
         (CAPSULES.replace('name="elbow"', 'name="elbow" type="slide"'), "'elbow' is not a hinge"),
-        (CAPSULES.replace('body pos="0.4 0 0"', 'body pos="0.4 0 0.1"'), "'wrist' is 0.1 m off"),
+        (CAPSULES.replace('body pos="0.4 0 0"', 'body pos="0.4 0 0.1"'), "'wrist' is 0.1 m away"),
         (CAPSULES.replace('body pos="0.5 0 0"', 'body pos="0 0 0"'), "'shoulder' has no length"),
         (ROBOT.replace('parent link="l1"', 'parent link="base"'), "is a tree"),
         (ROBOT, "no geom states the diameter"),

@@ -267,7 +267,7 @@ def test_the_paper_s_arm_goes_through_the_opening():
 
 
 TOO_MUCH = [
-    ({"target": Pose(np.zeros(LINKS + 1))}, "the pose has 4 angles, and the arm has 3 joints"),
+    ({"target": Pose(np.zeros(LINKS + 1))}, "the pose has 4 angles, but the arm has 3 joints"),
     ({"target": Pose(np.zeros(LINKS))}, "the tip is already at its target"),
     ({"target": Pose(np.deg2rad([70.0, 0, 0]))}, "is commanded to 70 deg"),
     ({"target": Tip((9.0, 0.0, 1.0))}, "the tip cannot be at .* choose a target within reach"),

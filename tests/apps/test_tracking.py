@@ -321,7 +321,7 @@ def test_a_run_that_is_followed_knows_its_wind_its_start_and_its_noise(model, tm
 def test_what_cannot_be_tracked_is_refused(model):
     run, *_ = recorded(model.arm, lasts=2.0)
     quiet = Run.from_arrays(run.times, run.values)
-    with pytest.raises(InputError, match=r"the noise of .* is not known"):
+    with pytest.raises(InputError, match=r"the noise of .* is unknown"):
         track(model, quiet)
     joint = giajax.model_for([giajax.read_run(DATA / "joint.csv")])
     with pytest.raises(InputError, match="this is for arms"):

@@ -138,7 +138,11 @@ def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
     refused(capsys, [*model, "--target", str(unordered), *out], "must strictly increase")
     gap = tmp_path / "gap.csv"
     gap.write_text("time_s,angle_deg\n0,0\n1,\n2,2\n")
-    refused(capsys, [*model, "--target", str(gap), *out], "sample 2 of 'gap' has no target angle")
+    refused(
+        capsys,
+        [*model, "--target", str(gap), *out],
+        "sample 2 of 'gap' has no target value for angle",
+    )
     short = tmp_path / "short.csv"
     short.write_text("time_s,command_deg,angle_deg\n0,0,0\n1,9,5\n2,0,3\n")
     refused(capsys, ["fit", "--data", str(short)], "3 measured values cannot determine")

@@ -119,6 +119,8 @@ def test_bad_options_are_one_sentence(tmp_path, capsys):
     refused(capsys, [tmp_path / "none.toml"], "does not exist: give the path of a TOML file")
     refused(capsys, ["--set", "roll.radios=1"], "there is no parameter 'roll.radios'")
     refused(capsys, ["--set", "film.peel=-1"], "film.peel = -1 N is outside its bounds")
-    refused(capsys, ["--by-gas", "--set", "supply.flow=0"], "gas is to unroll the arm, but supply")
+    refused(
+        capsys, ["--by-gas", "--set", "supply.flow=0"], "gas is to unroll the arm, but with supply"
+    )
     (tmp_path / "file").write_text("")
     refused(capsys, ["--out", tmp_path / "file"], "is a file")

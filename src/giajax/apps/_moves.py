@@ -113,7 +113,7 @@ class Rest(NamedTuple):
         if squares[0] <= 0:
             raise InputError(
                 "the pose at the end of the command is unstable: choose another final pose, or "
-                "correct the stiffness and the weights of the arm"
+                "correct the stiffness and gravity of the arm"
             )
         return np.sqrt(squares), np.linalg.solve(root.T, turned)
 

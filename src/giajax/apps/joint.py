@@ -107,7 +107,7 @@ def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
     """
     table = angle_table(joint, corrected=corrected)
     what = "with the corrections alpha and beta" if corrected else "without corrections"
-    figure = new_figure(10, 3.9, f"One muscle under {float(joint.torque):g} N m, {what}")
+    figure = new_figure(10, 3.9, f"One muscle at a torque of {float(joint.torque):g} N m, {what}")
     names = {"contraction": "contraction", "force_N": "force (N)"}
     for panel, (name, label) in zip(figure.subplots(1, 2), names.items(), strict=True):
         shade_branches(panel, joint)

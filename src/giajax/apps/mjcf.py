@@ -145,7 +145,7 @@ def read_mjcf(
     if np.any(rest[np.asarray(model.jnt_stiffness) > 0]):
         angles = ", ".join(f"{angle:.6g}" for angle in np.rad2deg(rest))
         lost.append(
-            f"the springs are at rest at other angles than 0, so command these: {angles} deg"
+            f"the springs are unloaded at nonzero angles, so command these angles: {angles} deg"
         )
     return ReadArm(arm, names, rest, tuple(joints), tuple(lost))
 
@@ -234,7 +234,10 @@ def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, 
         if np.any((limits[:, 0] > 0) | (limits[:, 1] < 0)):
             lost.append("the range of a joint that does not contain 0 is extended to 0")
         if np.any(np.abs(limits) > np.pi) or not np.all(model.jnt_limited):
-            lost.append("joints without limits receive limits of 180 deg")
+            lost.append(
+                "joints without limits are given limits of 180 deg, because other joints have "
+                "limits"
+            )
     if np.any(model.dof_frictionloss) and not _disabled(model, "FRICTIONLOSS"):
         found["joints.friction"] = np.array(model.dof_frictionloss)
         lost.append("frictionloss, which models sticking, becomes a smooth friction law")

@@ -133,7 +133,7 @@ def test_few_markers_are_the_best_of_all_choices():
         itertools.combinations(range(7), 3), key=lambda some: errors(each[list(some)].sum(axis=0))
     )
     assert chosen_markers(errors, each, 3) == best
-    with pytest.raises(InputError, match="8 of 7 markers are requested"):
+    with pytest.raises(InputError, match="8 markers are requested: give a number from 1 to 7"):
         chosen_markers(errors, each, 8)
 
 

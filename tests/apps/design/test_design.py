@@ -275,7 +275,10 @@ def test_a_free_first_state_is_a_nuisance():
         (["--parameter", DRAG, "--joints", "3"], "the arm has joints 1 to 2"),
         (["--parameter", DRAG, "--joints", "1;2"], "must be numbers"),
         (["--parameter", DRAG, "--max-angle", "0"], "the largest angle is 0"),
-        (["--parameter", DRAG, "--markers", "9"], "9 of 2 markers are requested"),
+        (
+            ["--parameter", DRAG, "--markers", "9"],
+            "9 markers are requested: give a number from 1 to 2",
+        ),
         (["--parameter", DRAG, "--knots", "1"], "a number from 2 to"),
         (["--parameter", DRAG, "--criterion", "E"], "'E' is not a criterion"),
         (

@@ -200,7 +200,7 @@ def test_the_usual_pad_bends_base_and_tip():
 @pytest.mark.parametrize(
     ("message", "said"),
     [
-        ({"type": "fly"}, "unknown kind 'fly'"),
+        ({"type": "fly"}, "unknown type 'fly'"),
         ({"type": "pad", "axes": [], "buttons": []}, "the pad has no axes"),
         ({"type": "pad", "axes": "x", "buttons": []}, "has no list of numbers 'axes'"),
         (
@@ -227,12 +227,12 @@ def test_messages_that_say_nothing(operator, message, said):
         ),
         ("axes = [", "sticks = [", r"unknown key pad\.sticks"),
         ("dead_zone = 0.1", "dead_zone = 1.0", r"pad\.dead_zone = 1.0 must be a number from 0"),
-        ('preset = "up"', 'preset = "down"', "button 0 goes to 'down', which is not a preset"),
+        ('preset = "up"', 'preset = "down"', "button 0 selects 'down', which is not a preset"),
         # The one of the same button behind it does not hide it.
         (
             '{button = 0, preset = "up"}',
             '{button = 0, preset = "down"}, {button = 0, preset = "up"}',
-            "button 0 goes to 'down', which is not a preset",
+            "button 0 selects 'down', which is not a preset",
         ),
         ('name = "straight"', 'name = "up"', "two presets have the name 'up': rename one"),
         ("angles_deg = [20.0]", "angles_deg = [1.0, 2.0]", "has 2 angles for 1 joints"),
@@ -257,7 +257,7 @@ def test_a_pad_that_turns_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("time_s,button0\n0,0\n1,1\n", "has no column of an axis"),
+        ("time_s,button0\n0,0\n1,1\n", "has no column for a pad axis"),
         ("time_s,axis0,stick\n0,0,0\n1,1,0\n", "has the unknown column 'stick'"),
         ("time_s,axis0\n0,0\n1,\n", "has an empty or infinite cell in the column axis0"),
         ("time_s,axis0\n0,0\n0,1\n", "do not increase: sort the rows by time"),

@@ -165,7 +165,7 @@ def test_the_camera_at_the_tip_is_late(model):
 
 
 def test_drives_that_are_none(model):
-    with pytest.raises(InputError, match="the rate is 0 poses a second"):
+    with pytest.raises(InputError, match="the rate is 0 poses per second"):
         Session(model, rate=0.0)
     with pytest.raises(
         InputError, match="steps per pose is 1,000,000,000: give a number from 1 to 1,000"
@@ -177,7 +177,7 @@ def test_drives_that_are_none(model):
     ):
         replay(session, {"time_s": np.array([0.0, 1e9]), "axis0": np.zeros(2)})
     many = np.linspace(0.0, 1.0, 500_001)
-    with pytest.raises(InputError, match="there are 500,001 rows: give 500,000 at most"):
+    with pytest.raises(InputError, match="the drive has 500,001 rows: give at most 500,000"):
         replay(session, {"time_s": many, "axis0": many})
     with pytest.raises(InputError, match="nothing was driven"):
         session.record.run(["tip_z"])
@@ -214,7 +214,7 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
     assert "drive-1.csv exists" in capsys.readouterr().err
     (tmp_path / "pad.csv").write_text("time_s,button0\n0,1\n")
     assert main(words) == 2
-    assert "has no column of an axis" in capsys.readouterr().err
+    assert "has no column for a pad axis" in capsys.readouterr().err
     # Another spelling of a number would be read by no name, or make room for what is not there.
     for name in ("axis00", "axis256", "axis٣", "axis-1", "axis1_0", "button"):
         (tmp_path / "pad.csv").write_text(f"time_s,axis0,{name}\n0,0,0\n1,0,0\n")

@@ -120,7 +120,7 @@ def test_a_track_is_shown_with_its_bands(tmp_path):
     assert_allclose(found.bands.centres[:, 1], found.scene.markers["tip"], atol=1e-12)
     assert_allclose(found.bands.halves[2] / BAND, [[0.01, 0.02, 0.03], [0.04, 0.05, 0.06]])
     size = BAND * np.linalg.norm([0.04, 0.05, 0.06])
-    assert f"tip within {1e3 * size:.1f} mm (95 % at least)" in words(found, 2, "blue")
+    assert f"tip within {1e3 * size:.1f} mm of the estimate" in words(found, 2, "blue")
     # One of an earlier version has the states alone.
     (tmp_path / "bands.csv").write_text("time_s\n" + 5 * "0\n")
     old = shown(tmp_path)

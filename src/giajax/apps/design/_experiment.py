@@ -40,9 +40,7 @@ _ALL = 3000  # up to so many choices all are looked at
 def check_count(count: int, bodies: int) -> None:
     """Refuse a number of markers that cannot be chosen."""
     if not 1 <= count <= bodies:
-        raise InputError(
-            f"{count} of {bodies} markers are requested: give a number from 1 to {bodies}"
-        )
+        raise InputError(f"{count} markers are requested: give a number from 1 to {bodies}")
 
 
 def chosen_markers(

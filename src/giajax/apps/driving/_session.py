@@ -428,7 +428,7 @@ def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:
     path = Path(path)
     columns = read_numbers(path)
     if "time_s" not in columns or not any(name.startswith("axis") for name in columns):
-        raise InputError(f"{path} has no column of an axis: give the columns time_s and axis0")
+        raise InputError(f"{path} has no column for a pad axis: give the columns time_s and axis0")
     odd = [name for name in columns if name != "time_s" and _place(name) is None]
     if odd:
         raise InputError(

@@ -149,7 +149,7 @@ def life_figure(life: Life) -> Figure:
     axes.plot(minutes, rows["least"], color=BLUE, linewidth=1.2, label="lowest")
     area = np.pi / 4 * float(np.max(life.mission.model.arm.links.diameter)) ** 2
     axes.axhline(
-        life.pull / area, color=INK, linewidth=0.8, linestyle="--", label="needed to bear a muscle"
+        life.pull / area, color=INK, linewidth=0.8, linestyle="--", label="needed for one muscle"
     )
     axes.legend(fontsize=8, frameon=False)
     plain(axes, "Pressure in the links", "time (min)", "gauge pressure (Pa)")

@@ -68,7 +68,7 @@ _HEAD = """\
 <!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>The paper's figures by giajax</title>
+<title>The paper's figures, reproduced by giajax</title>
 """
 
 _PNG_END = b"IEND\xaeB`\x82"  # how every whole PNG file ends
@@ -138,9 +138,9 @@ def reproduction_page(records: Iterable[Mapping[str, Any]]) -> bytes:
         )
     page = (
         f"{_HEAD}<style>\n{_STYLE}</style></head>\n<body>\n"
-        "<h1>The paper's figures by giajax</h1>\n<p>Figures and tables that Takeichi, Suzumori, "
-        "Endo and Nabae (<i>Development of a 20-m-long Giacometti arm with balloon body based on "
-        "kinematic model with air resistance</i>) derive from their models, reproduced by "
+        "<h1>The paper's figures, reproduced by giajax</h1>\n<p>Figures and tables that Takeichi, "
+        "Suzumori, Endo and Nabae (<i>Development of a 20-m-long Giacometti arm with balloon body "
+        "based on kinematic model with air resistance</i>) derive from their models, reproduced by "
         f"giajax {__version__}. The text below each figure states what is printed in the paper, "
         "what is assumed, "
         "and what is reconstructed.</p>\n" + "".join(parts) + "</body></html>\n"

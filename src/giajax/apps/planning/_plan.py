@@ -305,8 +305,8 @@ def _doubts(row: Planned, limits: CommandLimits, near: float, remembers: bool) -
             else "allow the command more time, or more knots"
         )
         notes.append(
-            f"for three of the longest periods after the command the tip is up to {row.missed:.3g} "
-            f"m from the target, but only {near:.3g} m are allowed: {why}"
+            "within three of the longest periods after the command the tip is up to "
+            f"{row.missed:.3g} m from the target, but only {near:.3g} m are allowed: {why}"
         )
     if row.clearance is None or row.closest is None:
         return notes
@@ -314,7 +314,7 @@ def _doubts(row: Planned, limits: CommandLimits, near: float, remembers: bool) -
         raise InputError(
             "between the planned times a link touches an obstacle: plan with more clearance"
         )
-    for gap, whose in ((row.clearance, ""), (row.closest, " of an arm drawn from the uncertainty")):
+    for gap, whose in ((row.clearance, ""), (row.closest, " in one of the draws")):
         if gap < limits.clearance:
             notes.append(
                 f"a link{whose} comes within {gap:.3g} m of an obstacle: plan with more clearance"

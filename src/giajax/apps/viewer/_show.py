@@ -281,7 +281,7 @@ def words(show: Show, sample: int, colour: str) -> str:
     if show.bands is not None:
         size = float(np.linalg.norm(show.bands.halves[sample, -1]))
         # Of a band along each axis: as likely as that where one is long, and likelier elsewhere.
-        said.append(f"tip position uncertain by {_length(size)} (at least 95 %)")
+        said.append(f"tip within {_length(size)} of the estimate (probability at least 95 %)")
     if (off := show.marker_error(sample)) is not None:
         said.append(f"RMS distance to the recorded markers {_length(off)}")
     for arrows in show.scene.arrows:

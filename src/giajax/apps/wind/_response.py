@@ -181,7 +181,7 @@ def at_rest(
         raise InputError(
             f"the arm does not stay at its rest in a mean wind of "
             f"{np.array2string(mean, precision=3)} m/s, so its motion has no spectrum: start from "
-            "a weaker wind, or correct the stiffness and the weights of the arm"
+            "a weaker wind, or correct the stiffness and gravity of the arm"
         )
     return found.x, here
 
