@@ -600,7 +600,7 @@ def filling_figure(filled: Filled) -> Figure:
     figure = new_figure(9.0, 6.0, f"Filling {filled.filling.arm.count} links: {end}")
     minutes = filled.times / _MINUTE
     panels = {
-        "Fullness of each link": (filled.fullness, "volume relative to the full volume"),
+        "Fullness of each link": (filled.fullness, "share of the full volume"),
         "Pressure in each link": (filled.pressure, "gauge pressure (Pa)"),
         "Net lift of each link": (filled.net_lift * 1e3, "g"),
         "Bending stiffness of each link (assumed)": (filled.stiffness, "N m$^2$"),

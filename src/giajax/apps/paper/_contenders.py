@@ -167,15 +167,15 @@ def _own() -> ArmModel:
 CONTENDERS: dict[str, Contender] = {
     "with_air": Contender("the paper's model, fitted", _papers, PAPERS),
     "without_air": Contender(
-        "the paper's model, then C_D = 0", _papers, PAPERS, afterwards=_NO_AIR, as_fitted="with_air"
+        "the paper's model with C_D = 0", _papers, PAPERS, afterwards=_NO_AIR, as_fitted="with_air"
     ),
     "refitted": Contender(
-        "the paper's model without air, fitted again",
+        "the model without air, fitted again",
         lambda: replace(_papers(), _NO_AIR),
         PAPERS[1:],
     ),
     "own": Contender(
-        "giajax's own model, fitted to another run",
+        "giajax's model, fitted to another run",
         _own,
         (*PAPERS, *_MEMORY),
         on_another=True,
