@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from websockets.sync.server import ServerConnection
 
 LATENCY = 0.2
-"""Of a picture on its way to the operator, s, unless stated."""
+"""Default latency of the picture that the operator sees, s."""
 
 
 class TipCamera:
@@ -39,7 +39,7 @@ class TipCamera:
 
     def __init__(self, model: ArmModel, latency: float = LATENCY) -> None:
         if not 0 <= latency <= 60:
-            raise InputError(f"the latency is {latency:g} s: give one from 0 to 60")
+            raise InputError(f"the latency is {latency:g} s: give a latency from 0 to 60 s")
         # Where the arm has none: one that looks ahead from its end, 90 deg wide.
         usual = Pinhole(
             position=jnp.zeros(3),
@@ -89,7 +89,7 @@ _AT_ONCE = 2
 _LONGEST_MESSAGE = 1 << 16  # longer than anything that the page says
 TAKEN_OVER = "another page has taken over"
 UNMOVED = "the drive has ended: no joint was moved, and nothing is saved"
-ENDED = "the drive has ended and is being saved: its command says where"
+ENDED = "the drive has ended and is being saved: the terminal shows the location of the files"
 
 
 class Cockpit:
@@ -263,12 +263,14 @@ class Cockpit:
         try:
             message = json.loads(text, parse_int=_whole)
         except (ValueError, RecursionError) as error:
-            self._answers.append((connection, f"a message of the page is not JSON: {error}"))
+            self._answers.append(
+                (connection, f"a message from the page is not valid JSON: {error}")
+            )
             return
         if isinstance(message, dict):
             self._inbox.append((connection, message, time.monotonic()))
         else:
-            self._answers.append((connection, "a message of the page is not a table"))
+            self._answers.append((connection, "a message from the page is not a JSON object"))
 
     def _tell(self, connection: "ServerConnection") -> None:
         from websockets.exceptions import ConnectionClosed

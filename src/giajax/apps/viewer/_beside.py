@@ -145,12 +145,12 @@ def _plots(shows: Sequence[Show], times: np.ndarray) -> list[dict[str, Any]]:
         for arrows in scene.arrows:
             if np.any(arrows.vectors):
                 largest = np.max(np.linalg.norm(arrows.vectors[samples], axis=-1), axis=1)
-                title = f"{of}{LAYERS.get(arrows.name, arrows.name)}, largest, {arrows.unit}"
+                title = f"{of}{LAYERS.get(arrows.name, arrows.name)}, largest value, {arrows.unit}"
                 found.append({"title": title, "curves": [_curve("largest", largest)]})
         pressures = [line.pressure for line in scene.lines if line.pressure is not None]
         if pressures:
             highest = np.max(np.stack(pressures)[:, samples], axis=0) / 1e5
-            title = f"{of}highest pressure of a muscle, bar"
+            title = f"{of}highest pressure of any muscle, bar"
             found.append({"title": title, "curves": [_curve("highest", highest)]})
     return found
 
