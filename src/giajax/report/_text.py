@@ -71,7 +71,7 @@ def source_lines(result: FitResult) -> list[str]:
     lines = []
     for recording in dict.fromkeys([*alone, *mostly]):
         said = {"only source of information on": alone.get(recording)}
-        said["factor on the errors without it:"] = mostly.get(recording)
+        said["factor on the errors without this recording:"] = mostly.get(recording)
         parts = [f"{words} {', '.join(paths)}" for words, paths in said.items() if paths]
         lines.append(f"{recording}: {'; '.join(parts)}")
     return lines
@@ -99,7 +99,7 @@ def _held_out(record: HeldOut) -> list[str]:
             each = [f"{n} {_range([record.channels[n].rmse]) or 'not known'}" for n in names]
             errors = ", ".join(each)
         sizes = _range([channel.size for channel in channels])
-        allowed = f"; {sizes} times what noise and the parameters allow" if sizes else ""
+        allowed = f"; {sizes} times the error expected from noise and parameters" if sizes else ""
         counts = _counts(names, sum(channel.n for channel in channels))
         lines.append(f"{record.name}: RMSE {errors}{unit}{allowed}; {counts}")
     return lines
@@ -189,8 +189,8 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     add("residuals", _of_runs(result.runs, _residuals, "residuals of"))
     own = list(filter(None, (run.parameters.keys() - result.free for run in result.runs)))
     if own:
-        text = f"{sum(map(len, own))} values of {len(own)} single runs were also fitted"
-        add("initial states", [f"{text}; result.json has them"])
+        text = f"{sum(map(len, own))} values of {len(own)} individual runs were also fitted"
+        add("initial states", [f"{text}; result.json lists them"])
     add("validation", _of_runs(result.validation, _errors, "prediction of"))
     add("held out", _of_runs(result.held_out, _held_out, "prediction of"))
     add("determined by", source_lines(result))
@@ -216,7 +216,7 @@ def _starts(result: FitResult) -> list[str]:
     values = sum(channel.n for run in result.runs for channel in run.channels.values())
     ends = [start.misfit for start in result.starts if start.misfit is not None]
     near = sum(end - best < SAME_END * values for end in ends)
-    text = f"{near} of {len(result.starts)} ended here"
+    text = f"{near} of {len(result.starts)} ended at this optimum"
     worse = sorted((end - best) / values for end in ends if end - best >= SAME_END * values)
     if worse:
         text += f"; the others are worse by {worse[0]:.2g} to {worse[-1]:.2g} in log-likelihood "
@@ -317,9 +317,9 @@ def _gradient(result: FitResult) -> str:
         return "not done"
     relative = check.relative_difference
     if relative > WRONG_DERIVATIVES:
-        text = f"derivatives DISAGREE with differences, by {relative:.1e} (relative)"
+        text = f"derivatives DISAGREE with finite differences, by {relative:.1e} (relative)"
     else:
-        text = f"derivatives agree with differences to {relative:.1e} (relative)"
+        text = f"derivatives agree with finite differences to {relative:.1e} (relative)"
     return text + (f", without {', '.join(check.left_out)}" if check.left_out else "")
 
 
@@ -332,7 +332,10 @@ def _tolerance(result: FitResult) -> str:
     if capabilities.refined(result.model, 1.0) is None:
         return f"{which}not checked: the {result.model.kind} model cannot be refined"
     if effect is None or effect.largest_in_standard_errors is None:
-        return f"{which}effect not known"
+        return f"{which}effect unknown"
     finer = {0.5: "half", 0.1: "a tenth"}.get(effect.factor, "a hundredth")
     largest = effect.largest_in_standard_errors
-    return f"{which}{finer} of it changes no parameter by more than {largest:.1e} standard errors"
+    return (
+        f"{which}{finer} of this tolerance changes no parameter by more than {largest:.1e} "
+        "standard errors"
+    )

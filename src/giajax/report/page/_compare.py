@@ -64,7 +64,7 @@ def _verdict(found: Contrast, apart: Sequence[str]) -> tuple[str, str]:
             "nothing is compared"
         )
     agree = (
-        "No parameter that both determine differs from the first result by more than "
+        "No parameter that both results determine differs from the first result by more than "
         f"{_DIFFERENT:g} joint standard errors"
     )
     if alone:
