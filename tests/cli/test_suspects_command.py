@@ -95,7 +95,7 @@ def test_a_run_that_has_moved_or_changed(folder, tmp_path, capsys):
         (["none"], "does not exist"),
         (["{fit}", "--validation", "x.csv"], "add --ladder"),
         (["{fit}", "--tries", "3"], "add --ladder"),
-        (["{fit}", "--each", "muscle.diameter"], "has no elements to test one by one"),
+        (["{fit}", "--each", "muscle.diameter"], "has no elements that can be tested one by one"),
         (["{fit}", "--uncertainty", "muscle.diameter"], "must be PATH=VALUE"),
         (["{fit}", "--uncertainty", "muscle.diameter=0"], "is not positive: give"),
     ],
