@@ -292,7 +292,7 @@ def test_what_sidecars_state_of_a_shared_parameter_must_agree():
 
 def test_values_for_single_runs_are_for_runs_of_one_model(files):
     with pytest.raises(
-        InputError, match="has values for individual runs, but the runs have several"
+        InputError, match="has values for individual runs, but the runs use several"
     ):
         task(files).on_top(per_run=["camera.delay"]).prepare()
 

@@ -178,7 +178,7 @@ class WarmStart:
         """
         if not set(self.model.split("+")) <= set(model.kind.split("+")):
             raise InputError(
-                f"the fit for the warm start has the {self.model} model, but the runs have the "
+                f"the fit for the warm start uses the {self.model} model, but the runs use the "
                 f"{model.kind} model: give a fit of the same model"
             )
         try:
@@ -587,7 +587,7 @@ def _check_together(setup: Setup) -> None:
     if setup.groups:
         path = next(iter(setup.groups))
         raise InputError(
-            f"'{path}' has values for individual runs, but the runs have several models: omit "
+            f"'{path}' has values for individual runs, but the runs use several models: omit "
             "these values, or fit only the runs of one model"
         )
     joins = [

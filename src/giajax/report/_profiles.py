@@ -190,8 +190,8 @@ def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:
         plots=[(curve.name, _plot(curve)) for curve in curves],
         note="Each quantity was fixed at a series of values while all others were fitted. "
         "Solid line: increase of the deviance. Dashed line: its approximation from the standard "
-        f"{100 * found.level:.3g} % interval ends where the line crosses the level. At orange "
-        "dots, another parameter is at a bound.",
+        f"error. The {100 * found.level:.3g} % interval ends where the line crosses the level. At "
+        "orange dots, another parameter is at a bound.",
     )
 
 

@@ -149,7 +149,7 @@ def _bootstrap_section(found: Bootstrap, result: FitResult, folder: Path) -> Pag
     first, *others = bootstrap_summary(found)
     return PageSection(
         id="repetitions",
-        name="Repeated",
+        name="Repetitions",
         heading="Repetitions of the fit",
         intro=f"{first}.",
         table=Table(*bootstrap_table(found)),

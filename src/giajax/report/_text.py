@@ -196,7 +196,7 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     add("determined by", source_lines(result))
     if strongest := strongest_correlation(result):
         correlation, one, other = strongest
-        add("correlation", [f"at most {correlation:+.3f}, between {one} and {other}"])
+        add("correlation", [f"strongest: {correlation:+.3f}, between {one} and {other}"])
     add("findings", [f"{f.sentence}: {f.advice} ({f.page})" for f in result.findings])
     add("gradient check", [_gradient(result)])
     add("solver tolerance", [_tolerance(result)])
@@ -204,7 +204,7 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     took, compiling = (
         format_number(s, ".2g") for s in (result.seconds.run, result.seconds.compile)
     )
-    add("time", [f"{took} s, and {compiling} s to compile or load"])
+    add("time", [f"{took} s to run, and {compiling} s to compile or load"])
     return rows
 
 
@@ -226,7 +226,9 @@ def _starts(result: FitResult) -> list[str]:
     for optimum in others[:_MANY]:
         where = ", ".join(f"{path} {value:.4g}" for path, value in optimum.values.items())
         who = "1 start" if optimum.reached == 1 else f"{optimum.reached} starts"
-        lines.append(f"another optimum, from {who}, worse by {optimum.worse:.3g}: {where} (SI)")
+        lines.append(
+            f"another optimum was reached from {who}, worse by {optimum.worse:.3g}: {where} (SI)"
+        )
     return lines + [
         f"{count} did not converge: {why}" for why, count in lost_starts(result).items()
     ]
@@ -284,7 +286,7 @@ def _residuals(run: RunFit) -> list[str]:
             shown = "not finite"
         against = f"{noise[0]:.3g}" + (f" to {noise[-1]:.3g}" if noise[-1] > noise[0] else "")
         if weights > _WEIGHTED:
-            against += f" from sample to sample, up to {weights:.3g} times that in the weights"
+            against += f" from sample to sample, up to {weights:.3g} times as large in the weights"
         counts = _counts(names, sum(channels[name].n for name in names))
         lines.append(f"{run.name}: RMSE {shown}{unit}; noise {against}; {counts}")
     return lines

@@ -177,7 +177,7 @@ def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
     also = f" (or {others}, which the data can hardly distinguish from it)" if others else ""
     plain = isinstance(row.value, float) and row.kind != "factor"
     held = f"fixed at {row.value:.4g}{unit}" if plain else "held"
-    times = "its value times " if row.kind == "factor" else ""
+    times = "a factor of " if row.kind == "factor" else ""
     free = " ".join(f"--free {each}" for each in [*result.asked, row.path])
     return (
         f"{row.path}{also} is {held}, and the residuals suggest {times}{shown}{unit}, which shifts "

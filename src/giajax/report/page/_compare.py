@@ -70,7 +70,8 @@ def _verdict(found: Contrast, apart: Sequence[str]) -> tuple[str, str]:
     if alone:
         return (
             "doubtful",
-            f"{agree}, but it has no parameter in common with {', '.join(some_of(alone))}",
+            f"{agree}, but the first result has no parameter in common with "
+            f"{', '.join(some_of(alone))}",
         )
     if any(column.status != "converged" for column in found.columns):
         return "doubtful", f"{agree}, but not every fit has converged"

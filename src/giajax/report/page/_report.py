@@ -118,7 +118,7 @@ def _undetermined(result: FitResult) -> list[str]:
     without = [path for path, one in result.free.items() if one.standard_error is None]
     if not without:
         return []
-    return [f"the data do not determine {', '.join(without)}: do not use its value"]
+    return [f"the data do not determine {', '.join(without)}: do not use the fitted values"]
 
 
 def _held_numbers(result: FitResult) -> list[str]:

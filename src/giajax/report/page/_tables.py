@@ -165,7 +165,7 @@ def optima_table(result: FitResult) -> Table:
     ]
     nothing = ["-"] * (1 + len(paths))
     rows += [[why, str(count), *nothing] for why, count in lost_starts(result).items()]
-    return Table(["ended at", "starts", "worse by (log-likelihood)", *headings], rows, 1)
+    return Table(["optimum or reason", "starts", "decrease of log-likelihood", *headings], rows, 1)
 
 
 def own_table(result: FitResult) -> Table:
