@@ -32,7 +32,7 @@ def test_tables_of_suspects_systematic_errors_and_the_ladder(folder, capsys):
     assert main(["suspects", str(folder / "fit"), *options]) == 0
     printed = capsys.readouterr()
     lines = printed.out.splitlines()
-    assert lines[0].split()[:3] == ["suspect", "held", "at"]
+    assert lines[0].split()[:3] == ["suspect", "fixed", "value"]
     path, held, estimate = lines[1].split()[:3]
     assert (path, held) == ("muscle.end_correction", "1.5")
     assert float(estimate) == pytest.approx(1.7, abs=0.02)

@@ -23,7 +23,16 @@ from ._views import PageSection, RecordView, Table
 
 Rows = list[list[str]]
 
-SUSPECT_HEADINGS = ("suspect", "held at", "estimate", "error", "unit", "chi-square", "p", "remark")
+SUSPECT_HEADINGS = (
+    "suspect",
+    "fixed value",
+    "estimate",
+    "error",
+    "unit",
+    "chi-square",
+    "p",
+    "remark",
+)
 
 
 def suspect_rows(found: Suspects, most: int = 10) -> Rows:
