@@ -324,7 +324,7 @@ def test_what_cannot_be_tracked_is_refused(model):
     with pytest.raises(InputError, match=r"the noise of .* is unknown"):
         track(model, quiet)
     joint = giajax.model_for([giajax.read_run(DATA / "joint.csv")])
-    with pytest.raises(InputError, match="this is for arms"):
+    with pytest.raises(InputError, match="an arm is required"):
         track(joint, run)
     with pytest.raises(InputError, match=r"clock_rate is 0\.01"):
         track(replace(model, {"camera.clock_rate": 0.01}), run)

@@ -45,7 +45,7 @@ def test_steps_parameters_files_and_a_page(explained):
     result = load_result(folder)
     assert result.parameters["muscle.end_correction"].value == pytest.approx(1.7, abs=0.02)
     page = (folder / "explain.html").read_text()
-    assert "What the data support" in page
+    assert "Model extensions supported by the data" in page
     assert "Content-Security-Policy" in page
     # What is left of it is a result for all other commands.
     status, _, _ = giajax("predict", folder, "--data", folder.parent / "muscle.csv")
@@ -72,9 +72,9 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
     # A journal that says what none does is refused, and no file beyond the fits is read.
     for line, why in (
         ("[" * 5_000, "nested more than"),
-        ('{"name": "first"}', "it is not a line of an explanation"),
+        ('{"name": "first"}', "it is not a valid line of this journal"),
         ("[]", "is [], but must be an object"),
-        ('{"name": "first", "fit": "../../other.json"}', "it names no file of its fits"),
+        ('{"name": "first", "fit": "../../other.json"}', "it does not name the file of a fit"),
         ('{"name": "first", "fit": 3}', "fit is 3, but must be text"),
         ("\udcff", "not JSON"),
     ):
@@ -85,12 +85,12 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
         assert "explain.jsonl" in error
         assert why in error
     (folder / "explain.jsonl").write_text(lines[0].rstrip("}") + ', "tries": 0}')
-    assert "has fewer tries than 1" in giajax(*asked)[2]
+    assert "states fewer than 1 suspect to try" in giajax(*asked)[2]
     # Of a budget that is over the steps are those so far, and what goes on says how.
     (folder / "explain.jsonl").write_text("\n".join(lines[:4]) + "\n")
     status, out, error = giajax(*asked[:-1], "--budget", "0.001s")
     assert (status, steps(folder)) == (0, STEPS[:1])
-    assert "was used up" in out
+    assert "was exhausted" in out
     assert f"giajax explain --resume {folder}" in error
     # What is there is not written over, nor mixed with other settings.
     other = ("explain", "--data", folder.parent / "none.csv", "--out", folder)
@@ -127,7 +127,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
     # The first fit is stopped, and there is nothing to go on with.
     status, _, error = giajax(*asked, "--force", "--budget", "0.001s")
     assert status == 1
-    assert error == "giajax: the budget was used up: this is the result so far\n"
+    assert error == "giajax: the time budget was exhausted: this is the result so far\n"
     assert giajax(*asked, "--force") == (0, "", "")
     whole = Path("why/explain.json").read_bytes()
     assert giajax(*asked, "--force") == (0, "", "")

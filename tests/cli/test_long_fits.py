@@ -197,7 +197,7 @@ def test_a_small_disk_loses_no_number(small_disk, plain, room):
 def test_a_budget_ends_with_the_best_so_far(folder, plain):
     status, out, _ = ended(process(*FIT, "--budget", "1.2s", seconds=0.4))
     assert status == 1
-    assert "NOT CONVERGED: the budget of 1.2 s ended the fit after" in out
+    assert "NOT CONVERGED: the time budget of 1.2 s was exhausted after" in out
     assert "giajax fit --resume out" in out
     result = load_result("out")
     assert result.iterations < plain["iterations"]
@@ -213,7 +213,7 @@ def test_a_budget_in_a_definition(folder, capsys):
     path = folder / "loops_fit.toml"
     path.write_text(path.read_text().replace("[fit]", '[fit]\nbudget = "0s"'))
     assert main([*FIT]) == 1
-    assert "the budget of 0 s ended the fit after 0 iterations" in capsys.readouterr().out
+    assert "the time budget of 0 s was exhausted after 0 iterations" in capsys.readouterr().out
 
 
 @pytest.mark.slow

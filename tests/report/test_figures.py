@@ -74,9 +74,9 @@ def test_a_fit_is_drawn_from_its_result_and_its_run(result, run):
     with pytest.raises(InputError, match=r"its data have changed since the fit.*predict"):
         plot(result, dataclasses.replace(run, name="another"))
     twice = dataclasses.replace(result, runs=result.runs * 2)
-    with pytest.raises(InputError, match="several of that name"):
+    with pytest.raises(InputError, match="several fitted runs have this name"):
         plot(twice, run)
-    with pytest.raises(InputError, match="2 runs were fitted: say which"):
+    with pytest.raises(InputError, match="2 runs were fitted: state which"):
         twice.plot()
     unfiled = dataclasses.replace(result.runs[0], path=None, sha256=None)
     with pytest.raises(InputError, match=r"was made in memory .* result\.plot\(run\)"):
