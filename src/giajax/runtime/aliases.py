@@ -197,7 +197,7 @@ def warn_of_name(before: str, now: str) -> None:
 
 def _warn(before: str, now: str, level: int) -> None:
     warnings.warn(
-        f"{before} is {now} now: change the name, which works until {UNTIL}",
+        f"{before} is now {now}: use the new name; the old name works until {UNTIL}",
         DeprecationWarning,
         stacklevel=level,
     )

@@ -423,7 +423,7 @@ class CachedProgram:
         result = returned[-1]
         shapes = jax.tree.leaves(eqx.filter(result, _is_shaped))
         if _calling(whole) != _calling(_blank(shapes, leaves)):
-            raise ValueError("the function does more than to return arrays")
+            raise ValueError("the function has side effects besides returning arrays")
         return result, whole.mlir_module_serialized
 
     def _name(self, key: str) -> str:
@@ -491,7 +491,7 @@ def restored(text: Any) -> Any:
                 for field, value in fields.items():
                     object.__setattr__(made, field, restored(value))
                 return made
-    raise ValueError("this describes no result of a program")
+    raise ValueError("this is not the description of a program result")
 
 
 def _named(module: str, name: str) -> Any:
