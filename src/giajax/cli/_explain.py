@@ -191,7 +191,7 @@ def _begun(ready: Any, folder: Path, *, resumed: bool, force: bool, quiet: bool)
         return load_result(path)
     if path.exists() and not force:
         raise InputError(
-            f"{folder} already contains an explanation: continue with {resumes('explain', folder)}, "
+            f"{folder} already has an explanation: continue with {resumes('explain', folder)}, "
             "give another --out, or --force to start again"
         )
     if not force and any((folder / FITS).glob("*")):

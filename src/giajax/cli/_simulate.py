@@ -88,7 +88,7 @@ def gusts_of(
     # Of a direction without gusts nothing is left out.
     shares = [f"{along:.1%} along"] * (parts[0] > 0) + [f"{across:.1%} across"] * any(parts[-2:])
     return wind, (
-        f"gusts with periods below {4 * scales['interval']:g} s are omitted; share of the variance: "
+        f"gusts with periods below {4 * scales['interval']:g} s are omitted; variance lost: "
         f"{', '.join(shares)} the mean wind"
     )
 

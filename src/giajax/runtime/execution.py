@@ -452,8 +452,8 @@ class _Study:
                     self.doubtful.append(key)
                     return
                 message = (
-                    f"the worker ended {ATTEMPTS} times during the task: check its memory, and run the "
-                    "task again"
+                    f"the worker ended {ATTEMPTS} times during the task: check its memory, and run "
+                    "the task again"
                 )
             else:
                 message = abridged(" ".join(f"{type(error).__name__}: {error}".split()))
