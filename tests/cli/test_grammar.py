@@ -195,7 +195,7 @@ def test_words_behind_two_dashes_and_too_many(capsys):
     assert main(["check", "a.csv", "b.csv"]) == 2
     assert "unexpected extra argument(s) (b.csv)" in capsys.readouterr().err
     assert main(["check", "a.csv", "--data", "b.csv"]) == 2
-    assert "and --data is also given: omit one of them" in capsys.readouterr().err
+    assert "but --data is also given: omit one of them" in capsys.readouterr().err
     assert main(["suspects", "a", "--most"]) == 2
     assert "option '--rows' requires an argument" in capsys.readouterr().err.lower()
     assert main(["report", "a", "--out"]) == 2

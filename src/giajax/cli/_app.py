@@ -52,7 +52,7 @@ Examples:
   giajax influence giajax-out/run
                             show how each marker and run changes the estimates
   giajax sweep plan.toml --workers 4
-                            run many fits with different values, runs or options
+                            run many fits with other values, runs or options
   giajax profile giajax-out/run
                             profile-likelihood intervals of the parameters
   giajax posterior giajax-out/run

@@ -190,13 +190,13 @@ def _files(out: Path) -> tuple[Path, Path, Path]:
 @command(
     """\b
 Examples:
-  giajax drive              the paper's arm, in a browser
+  giajax drive              drive the paper's arm in a browser
   giajax drive giajax-out/run
-                            the arm of a fit
+                            drive the arm of a fit
   giajax drive my_arm.toml --gusts 0.3:5 --wind 0,0.2,0
-                            your arm, in gusts
+                            drive your arm in gusts
   giajax drive my_arm.toml --pad my_pad.toml --to monday.csv
-                            with your assignment of sticks and buttons
+                            use your assignment of sticks and buttons
   giajax drive --replay pad.csv --to again.csv
                             replay pad inputs as fast as possible
 
@@ -213,8 +213,8 @@ as a run that giajax fit can read. A pad file assigns sticks and buttons:
   presets = [{name = "up", joints = [1], angles_deg = [20], others_deg = 0}]
 
 \b
-A table of pad inputs has the columns time_s, axis0, axis1, ... and button0,
-button1, ... Each row applies until the time of the next row.""",
+A table of pad inputs has the columns time_s, axis0 (axis1 and so on) and button0
+(button1 and so on). Each row applies until the time of the next row.""",
     group="plan",
     old={"--out": "--to"},
 )
@@ -330,16 +330,16 @@ def drive(
     """\b
 Examples:
   giajax view giajax-out/run
-                            the fitted arm and the recorded markers
+                            show the fitted arm and the recorded markers
   giajax view giajax-out/a giajax-out/b
-                            two fits, side by side
+                            show two fits side by side
   giajax view run.csv --page run.html
-                            a page that plays without a server
-  giajax view my_arm.toml   an arm, with a slider for each joint
+                            write a page that plays without a server
+  giajax view my_arm.toml   show an arm with a slider for each joint
   giajax view tracked --truth true.csv
-                            a tracked arm with uncertainty bands
+                            show a tracked arm with uncertainty bands
   giajax view run.csv --no-browser --host 0.0.0.0 --port 8100
-                            for a browser on another machine
+                            serve a browser on another machine
 
 WHAT is a recorded or simulated run, the folder of a fit (or its result.json) or
 of a track, or the TOML file of an arm. TRUE.csv needs a sidecar with an [arm] section.

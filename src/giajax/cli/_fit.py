@@ -563,34 +563,34 @@ def named_task(
     """\b
 Examples:
   giajax fit --data run.csv
-                            the default parameters of its model
+                            fit the default parameters of the model
   giajax fit --data run.csv --start air.drag_coefficient=0.8 --loss huber
-                            from another initial guess, with a robust loss
+                            use another initial guess and a robust loss
   giajax fit --data a.csv --data b.csv --fix joints.damping=0.05 --out both
-                            two runs, one parameter fixed
+                            fit two runs with one parameter fixed
   giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
-                            only these parameters
+                            fit only these parameters
   giajax fit --data run.csv --free links.mass --tie "links.mass=links.mass[0]"
-                            the same mass for all links
+                            fit the same mass for all links
   giajax fit --data a.csv --data b.csv --per-run camera.delay \\
       --prior camera.delay=0+-0.05 --bounds joints.damping=0.01,1
-                            a delay for each run, with a prior
+                            fit a delay for each run, with a prior
   giajax fit --data a.csv --data b.csv --hold-out b --strict
-                            validated on a held-out run
+                            validate on a held-out run
   giajax fit --data run.csv --hold-out last:0.3
-                            validated on the last 30 % of the run
+                            validate on the last 30 % of the run
   giajax fit definition.toml --force
-                            a fit definition
+                            run a fit definition
   giajax fit long.toml --budget 2h --cores 4
-                            the best result within two hours
+                            find the best result within two hours
   giajax fit long.toml --starts 100 --workers 4
-                            from 100 initial guesses, in four processes
+                            use 100 initial guesses and four processes
   giajax fit --resume giajax-out/long
                             continue a fit that was stopped
   giajax fit --again giajax-out/run/result.json
                             repeat the same fit
   giajax fit --data other.csv --from giajax-out/run
-                            another run, with a warm start
+                            fit another run with a warm start
 
 `giajax parameters` lists the names and units of parameters. A parameter with
 several elements takes one VALUE for all, or one for each: camera.origin=0.1,0,0.

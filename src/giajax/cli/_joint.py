@@ -34,15 +34,15 @@ _ANGLES = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
 @command(
     """\b
 Examples:
-  giajax joint --out joint  the preset, as figures and tables
+  giajax joint --out joint  draw the preset, and write tables
   giajax joint --out joint --torque 0.5 --angle 45 --angle 0 --angle -45
-                            with another torque, drawn at three angles
+                            use another torque, and draw three angles
   giajax joint joint.toml --out joint --target-angle 30
-                            your joint, and the pressures for 30 deg
+                            use your joint; compute pressures for 30 deg
   giajax joint --out joint --set alpha.offset=0.05 --force
-                            with another parameter value
+                            use another parameter value
   giajax joint --out joint --set neck.radius=0.06 --force
-                            with a film neck that bends and folds
+                            add a film neck that bends and folds
 
 \b
 The command writes

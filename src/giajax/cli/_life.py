@@ -33,11 +33,11 @@ _PAGE = "life.html"
     """\b
 Examples:
   giajax life missions/naraha.toml --out life
-                            all phases, with files and a page that plays them
+                            simulate all phases; write files and a page
   giajax life missions/naraha.toml --set supply.flow=0.0005 --no-page
-                            with half the gas flow, as a table
+                            use half the gas flow; print a table
   giajax life missions/naraha.toml --seed 4 --json
-                            with other gusts, as JSON
+                            use other gusts; print JSON
 
 \b
 With --out DIR, the command writes

@@ -120,24 +120,24 @@ _RANGE = "0,0.6"  # of a recording
     """\b
 Examples:
   giajax mission missions/naraha.toml
-                            once, with the wind of the file
+                            fly once in the wind of the file
   giajax mission missions/naraha.toml --speed 0.3 --seed 4 --out flown
-                            with another wind, with files and a run
+                            use another wind, and write files and a run
   giajax mission missions/naraha.toml --controller mpc
-                            by model predictive control
+                            use model predictive control
   giajax mission missions/naraha.toml --controller mpc --keep-station 300
-                            hold the tip before the opening for 300 s
+                            hold the tip in front of the opening for 300 s
   giajax mission missions/naraha.toml --page flown.html
-                            with a page that plays it
+                            write a page that plays the mission
   giajax view flown/run.csv
-                            the run in a browser
+                            show the run in a browser
   giajax mission missions/naraha.toml --cases 100 --speeds 0,0.1,0.2,0.3
-                            success rate against wind speed
+                            compute the success rate against the wind speed
   giajax mission missions/naraha.toml --from-recording resting.csv
-                            probability of success in the wind estimated
-                            from a recording of the arm at rest
+                            estimate the probability of success from a
+                            recording of the arm at rest
   giajax mission missions/naraha.toml --case 17 --speed 0.3 --out flown
-                            repeat one of those missions
+                            repeat one of the missions of --cases
 
 \b
 With --out DIR, the command writes

@@ -108,14 +108,14 @@ _FEW = 3  # an array of more elements is shown by its range
 @command(
     """\b
 Examples:
-  giajax parameters         the paper's arm
+  giajax parameters         list the parameters of the paper's arm
   giajax parameters --data joint.csv
-                            the model of a run
+                            use the model of a run
   giajax parameters --preset takeichi_20m_full
-                            another preset
+                            use another preset
   giajax parameters --arm my_arm.toml
-                            your own arm
-  giajax parameters --json  as JSON
+                            use your own arm
+  giajax parameters --json  print JSON
   giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
                             fit some of the parameters
 
@@ -253,14 +253,14 @@ def _as_fitted(stored: dict[str, Any], data: Sequence[Path]) -> dict[str, str]:
     """\b
 Examples:
   giajax predict giajax-out/run --data other.csv
-                            how well a fit predicts another run
+                            compute how well a fit predicts another run
   giajax predict giajax-out/triple_pendulum --against published.toml \\
       --data validation_01.csv --data validation_02.csv
-                            two runs, compared with another model
+                            predict two runs; compare with another model
   giajax predict my_arm.toml --data run.csv --refit-initial --to errors.csv
-                            from the best initial state, into a table
+                            fit the initial state first; write a table
   giajax predict giajax-out/run --data other.csv --without camera,wind
-                            a run with another camera and another wind
+                            predict a run with another camera and wind
 
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or
 other section) states a model with all its parameters.

@@ -43,14 +43,14 @@ Examples:
 \b
 NAME is
   fig5      links 6, 12 and 20 after a step of the base, with and without air
-  fig6      the controller in the whole arm, with pneumatic muscles and with springs
+  fig6      the controller in the whole arm, with muscles and with springs
   fig9      contraction and force of a muscle in a joint, without corrections
   fig10     the same with alpha and beta
   fig12     one link with hysteresis, without and with compensation
   fig19     links 2, 6, 12 and 20 in models, and a stand-in for the experiment
-  table3    agreement of the models with the stand-in: concordance with and without
-            air; --inverse searches for arms that give the values printed in the
-            paper (many minutes)
+  table3    agreement of the models with the stand-in: concordance with and
+            without air; --inverse searches for arms that give the values
+            printed in the paper (many minutes)
 
 Each figure or table is written to NAME.png, NAME.csv and NAME.json, and states
 which values are printed in the paper, assumed or reconstructed.""",

@@ -39,13 +39,13 @@ _COMMAND, _PATH, _PAGE, _PICTURE = "command.csv", "path.csv", "plan.json", "plan
     """\b
 Examples:
   giajax plan --model giajax-out/run --pose 1=20 --pose 3=-10 --out planned
-                            to a pose, as fast as the limits allow
+                            reach a pose as fast as the limits allow
   giajax plan --model my_arm.toml --tip 16,5,3 --out planned
-                            the tip to a position, in m
+                            bring the tip to a position, in m
   giajax plan --model my_arm.toml --pose 1=20 --duration 60 --out planned
-                            within 60 s, with minimal swing
+                            move within 60 s with minimal swing
   giajax plan --model missions/naraha.toml --through housetop --out planned
-                            through the opening of a wall, without contact
+                            move through an opening without contact
   giajax synth --data planned/command.csv --model giajax-out/run \\
       --channels tip_z --to rehearsal.csv
                             simulate the fitted arm with the plan

@@ -62,16 +62,16 @@ _SENSITIVITY_FILES = ("sensitivity.png", "sensitivity.csv", "information.csv")
     """\b
 Examples:
   giajax sensitivity --parameter air.drag_coefficient --out drag
-                            for the paper's arm
+                            analyse the paper's arm
   giajax sensitivity --parameter air.drag_coefficient \\
       --parameter joints.pitch_stiffness --ramp 1=20 --ramp 9=-15@3:2 \\
       --noise position_m=0.02 --out both
-                            for two parameters and another motion
+                            analyse two parameters and another motion
   giajax sensitivity --parameter camera.origin --arm my_arm.toml \\
       --channels tip --out camera
-                            for your arm, with a filmed tip
+                            analyse your arm with a filmed tip
   giajax sensitivity --data run.csv --parameter joints.damping --out recorded
-                            for a recorded run
+                            analyse a recorded run
 
 By default, the base joint moves to 30 deg within 1 s, and all links are filmed.
 The output files are sensitivity.png, sensitivity.csv (derivatives over time) and
@@ -286,14 +286,14 @@ _DIGITS = 12
     """\b
 Examples:
   giajax design giajax-out/run --parameter air.drag_coefficient --out next
-                            after a fit
+                            design an experiment after a fit
   giajax design --parameter air.drag_coefficient --joints 1,3 --max-angle 30 \\
       --max-angle-rate 30 --duration 25 --markers 3 --out next
-                            for the paper's arm, within limits
+                            use the paper's arm within limits
   giajax design fits/base_step.toml --parameter air.drag_coefficient \\
       --parameter joints.pitch_stiffness --criterion D \\
       --channels link06_z,link20_z --out next
-                            for two parameters of a fit definition
+                            use two parameters of a fit definition
   giajax simulate --command next/command.csv --to rehearsal.csv
                             simulate the designed experiment
 

@@ -37,9 +37,9 @@ _PAGE, _PICTURE = "shape.json", "shape.png"
     """\b
 Examples:
   giajax shape command.csv --model giajax-out/run --out shaped
-                            ZV, ZVD and EI, with uncertainty from the fit
+                            compute ZV, ZVD and EI for the fitted arm
   giajax shape command.csv --model my_arm.toml --shaper ZVD --out shaped
-                            one shaper, for the arm of a file
+                            use one shaper and the arm of a file
   giajax synth --data shaped/command_zvd.csv --model giajax-out/run \\
       --channels tip_z --to rehearsal.csv
                             simulate the fitted arm with a shaped command

@@ -292,17 +292,17 @@ def facts_of(
     """\b
 Examples:
   giajax simulate --ramp 1=30 --to run.csv
-                            the base joint moves to 30 deg
+                            move the base joint to 30 deg
   giajax simulate --step 1=30@0.5 --step 1=0@10 --missing 10 \\
       --noise position_m=0.02 --noise angle_deg=0.5 --to run.csv
-                            there and back, with noise and gaps
+                            move there and back, with noise and gaps
   giajax simulate --command logged.csv --set joints.damping=0.1 --to run.csv
-                            with the commands of a recording
+                            use the commands of a recording
   giajax simulate --arm my_arm.toml --ramp 2=-20@1:3 --channels all \\
       --set camera.origin=0.1,0,0 --to run.csv
-                            your arm, with all links recorded
+                            use your arm, and record all links
   giajax simulate --wind 0,0.2,0 --gusts 0.3:5 --coherence 12 --to run.csv
-                            without commands, in gusts
+                            simulate gusts without commands
 
 CHANNEL is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
 'joints' (all angles) or 'all' (every link). A row is added at each corner of a
@@ -448,13 +448,13 @@ def _as_written(name: str, values: Any, digits: int) -> Any:
     """\b
 Examples:
   giajax synth --data run.csv --noise position_m=0.01 --to new.csv
-                            with white noise
+                            add white noise
   giajax synth --data run.csv --model giajax-out/run \\
       --correlated position_m=0.02 --to new.csv
-                            predicted by a fit, with correlated noise
+                            use a fit, and add correlated noise
   giajax synth --data run.csv --set camera.rotation=0,0.087,0 \\
       --set camera.delay=0.05 --to new.csv
-                            with a rotated and delayed camera
+                            simulate a rotated and delayed camera
   giajax synth --data run.csv --missing 5 --bursts 10 --burst-duration 2 \\
       --to new.csv          with gaps
   giajax synth --data run.csv --noise position_m=0.01 --outliers 1 \\

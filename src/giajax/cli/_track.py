@@ -45,17 +45,17 @@ _SHARE = 0.3  # of a parameter: its deviation, where none is stated
     """\b
 Examples:
   giajax track run.csv --model giajax-out/run --out tracked
-                            with the fitted arm, in still air
+                            use the fitted arm in still air
   giajax track run.csv --model giajax-out/run --wind 0,0.2,0 --out tracked
-                            in an unknown wind with gusts, roughly along y
+                            estimate an unknown gusty wind, roughly along y
   giajax track run.csv --latency 0.5 --bias position_m=0.05 --out tracked
-                            estimate with a delayed and shifted camera
+                            use a delayed and shifted camera
   giajax track run.csv --model my_arm.toml \\
       --uncertain air.drag_coefficient=0.1 --out tracked
-                            with a standard deviation of 0.1 for the drag
+                            use a standard deviation of 0.1 for the drag
   giajax track run.csv --model my_arm.toml \\
       --free joints.pitch_stiffness --live 30 --out tracked
-                            while run.csv is being recorded
+                            track while run.csv is being recorded
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
