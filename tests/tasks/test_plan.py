@@ -158,7 +158,7 @@ def test_a_sample_has_the_distributions_that_are_asked_for(folder, method):
         ("[grid]\nloss = ['linear', 'hubert']", "fit 2: fit.loss = 'hubert' must be"),
         ("[grid.fix]\noffset = ['a']", "fit 1: fit.fix.offset = 'a' must be a finite number"),
         ("[sample]\nsize = 2", r"\[sample\]: unknown key 'size'"),
-        ("[sample]\nfix.offset = { uniform = [0, 1] }", "count must be the number of draws"),
+        ("[sample]\nfix.offset = { uniform = [0, 1] }", "count must be a number of draws"),
         ("[sample]\ncount = 2", "draws nothing"),
         ("[sample]\ncount = 2\nseed = -1", "seed must be zero or a positive whole number"),
         ("[sample]\ncount = 2\nmethod = 'grid'", "method must be 'sobol' or 'random'"),

@@ -53,10 +53,10 @@ GROUPS = {
     "paper": "Paper",
     "other": "Other",
 }
-"""Titles of the groups of commands, in the order of the help."""
+"""Titles of the groups of commands, in the order used in the help."""
 
 OLD_FORMS_END = UNTIL
-"""How long old forms of the options work: as earlier names of Python do."""
+"""Date until which old forms of options work, the same as for earlier Python names."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -530,7 +530,10 @@ def _ended(command: Any, arguments: list[str]) -> int:
         if isinstance(error, OSError) and isinstance(error.filename, str):
             # Its name is too long, another program took it away, or a disk is at fault.
             why = f"{error.filename} cannot be used ({error.strerror})"
-            return _say(f"{why}: give another path, or correct the file that names it", BAD_INPUT)
+            return _say(
+                f"{why}: give another path, or correct the path in the file that states it",
+                BAD_INPUT,
+            )
         return _say(_unexpected(error, arguments), BROKEN)
     # Without standalone mode typer returns the status of `typer.Exit`, else what the command did.
     return result if isinstance(result, int) else 0
@@ -550,7 +553,7 @@ def _unexpected(error: BaseException, arguments: list[str]) -> str:
         print(trace, end="", file=sys.stderr)
         why = f"which cannot be written to a file ({full.strerror})"
         return f"{what}: report it with the traceback above, {why}"
-    return f"{what}: report it with {path}, which has the traceback"
+    return f"{what}: report it with {path}, which contains the traceback"
 
 
 def _say(sentence: str, status: int) -> int:

@@ -215,7 +215,7 @@ def import_(
         str | None,
         "U,V",
         "Position of the coordinate origin in the image (px from the upper left corner), for "
-        "pixel coordinates from Kinovea or Tracker whose vertical axis points upwards.",
+        "pixel coordinates from Kinovea or Tracker with an upward vertical axis.",
     ] = None,
     axes: Annotated[
         str | None,
@@ -232,7 +232,7 @@ def import_(
     until: Annotated[float | None, "S", "Omit rows after this time in the file."] = None,
     rename: Renamed = None,
     only: Annotated[
-        Texts, "NAME", "Read only this column or channel; tip* matches several."
+        Texts, "NAME", "Read only this column or channel; tip* matches several columns."
     ] = None,
     ignore: Annotated[Texts, "NAME", "Skip this column or channel."] = None,
     command: Annotated[
@@ -308,7 +308,7 @@ def import_(
         seen = sum(int(each.sum()) for each in found.values())
         shown = {column.quantity for columns in table.things.values() for column in columns}
         rows, cells = ("pictures", "points") if shown & {"pixel", "length"} else ("rows", "values")
-        what = f"{count} {rows}, {seen} {cells} found of {len(found) * count}"
+        what = f"{count} {rows}, {seen} of {len(found) * count} {cells} found"
     following = command_after("init", "--data", to)
     typer.echo(f"wrote {to}, from {table.program}: {what}; {following}")
 

@@ -213,8 +213,8 @@ as a run that giajax fit can read. A pad file assigns sticks and buttons:
   presets = [{name = "up", joints = [1], angles_deg = [20], others_deg = 0}]
 
 \b
-A table of pad inputs has the columns time_s, axis0 (axis1 and so on) and button0
-(button1 and so on). Each row applies until the time of the next row.""",
+A table of pad inputs has the columns time_s, axis0 (axis1 and so on) and
+button0 (button1 and so on). Each row applies until the time of the next row.""",
     group="plan",
     old={"--out": "--to"},
 )
@@ -352,7 +352,9 @@ def view(
     what: Annotated[list[Path], argument("WHAT", "See below.")],
     data: Annotated[Paths, "RUN.csv", "New path of a fitted run whose file was moved."] = None,
     run: Annotated[
-        str | None, "NAME", "Run to show from a fit to several runs. [default: the first]"
+        str | None,
+        "NAME",
+        "Name of the run to show if the fit has several runs. [default: the first]",
     ] = None,
     rename: Renamed = None,
     truth: Annotated[

@@ -448,11 +448,11 @@ _READERS: dict[str, Callable[[list[str]], Any]] = {
     **{name: partial(plain_settings, option=f"--{name}") for name in _NUMBERS},
     **{"prior": priors, "bounds": bounds, "tie": ties, "group": groups},
 }
-"""What reads the words of an option, where they are not the value itself."""
+"""Parsers of the options whose text differs from their value."""
 
 _SETTINGS = {"prior": "priors", "tie": "ties", "group": "groups"}
 _SETTINGS |= {"window": "window_s", "windows_first": "windows_first_s"}
-"""Names of settings whose option is called otherwise."""
+"""Settings whose option has a different name."""
 
 
 class Settings(TypedDict):

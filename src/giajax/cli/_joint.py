@@ -161,9 +161,7 @@ def _show(pair: Any, target: float) -> None:
         if is_there:
             print(f"the torque also drives the joint against its stop at {end} deg")
     if rests.indifferent:
-        print(
-            "no torque acts on the joint in a range of angles, and each of them is an equilibrium"
-        )
+        print("no torque acts on the joint in a range of angles, so each angle is an equilibrium")
 
 
 @command(
@@ -251,7 +249,7 @@ def compensate(
         run = Run.from_arrays(plan.times, blank, definition=definition)
         values[name] = predict(fitted, run)[name]
         units[name] = goal.unit
-        origin += f"; {name} is what the fitted model predicts"
+        origin += f"; {name} contains the prediction of the fitted model"
     definition = definition.merged_with(Definition.parse({"origin": origin}))
     write_run(
         to, plan.times, values, units=units, definition=definition, digits=digits, force=force

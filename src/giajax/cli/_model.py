@@ -54,7 +54,7 @@ def definition_of(path: Path | None) -> "Definition":
 
 
 DOUBTED = ("inadequate", "doubtful")
-"""Verdicts of a fit on whose numbers nothing should rest."""
+"""Verdicts that mark the estimates of a fit as unreliable."""
 
 
 def say_doubts(path: Path | None, what: str, *, quiet: bool) -> None:

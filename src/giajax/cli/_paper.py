@@ -151,7 +151,7 @@ compensations are based, and the fit for the inverse compensation.""",
 )
 def hysteresis(
     out: Annotated[Path, "DIR", "Folder for the files."],
-    travel: Annotated[float, "TRAVEL", "Travel for a change of branch in eq. (12), deg."] = 40.0,
+    travel: Annotated[float, "TRAVEL", "Travel for a change of branch in eq. (12) (deg)."] = 40.0,
     seed: Annotated[int, "N", "Seed of the noise.", 0] = 0,
     force: Force = False,
     quiet: Quiet = False,

@@ -314,7 +314,9 @@ design.png.""",
 def design(
     parameter: Annotated[list[str], "PATH", "A parameter to estimate."],
     out: Annotated[Path, "DIR", "Folder for the files."],
-    source: Annotated[Path | None, argument("SOURCE", "The arm or a fit of it; see below.")] = None,
+    source: Annotated[
+        Path | None, argument("SOURCE", "The arm or a fit of the arm; see below.")
+    ] = None,
     links: Links = None,
     pairs: Settings = None,
     free: Annotated[
@@ -351,7 +353,7 @@ def design(
     knots: Annotated[
         int | None,
         "N",
-        "Number of turning points of each joint. [default: 15, or 30 for all joints]",
+        "Number of turning points of each joint command. [default: 15, or 30 for all joints]",
     ] = None,
     starts: Annotated[int, "N", "Number of commands compared before the optimisation.", 1] = 6,
     follow: Annotated[int, "N", "Number of commands that are optimised.", 1] = 2,

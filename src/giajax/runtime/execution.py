@@ -313,7 +313,7 @@ def _connected(address: str) -> Iterator[Any]:
 
 
 ATTEMPTS = 3
-"""So often is a task begun whose worker ends under it, but for those of a cluster."""
+"""Maximum number of attempts of a task whose worker ends; a cluster has its own limit."""
 
 _AHEAD = 256  # tasks that wait at the workers of an executor that somebody else has made
 _BETWEEN_S = 2.0  # between two looks at whether the scheduler of a cluster is there, s

@@ -9,7 +9,7 @@ from pathlib import Path
 from .text import InputError, shown
 
 FORMATS = ("png", "svg", "pdf")
-"""Endings of pictures. There is always a PNG file, which pages and records refer to."""
+"""Picture formats. A PNG file is always written, because pages and records refer to it."""
 
 
 @dataclass(frozen=True)

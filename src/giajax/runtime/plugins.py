@@ -29,7 +29,7 @@ _CLASSES: dict[str, dict[str, Any]] = {}
 _PLUGINS: dict[Path, str] = {}  # with the SHA-256 of what was run
 
 SUM = "sha256 "
-"""What the sum of a file begins with, where others have a version."""
+"""Prefix that distinguishes the checksum of a file from a version."""
 
 
 def register(cls: Registered) -> Registered:
@@ -244,10 +244,10 @@ def hint(versions: Mapping[str, str]) -> str:
     loaded = {Path(str(getattr(each, "__file__", ""))).name for each in sys.modules.values()}
     for name, text in versions.items():
         if text.startswith(SUM) and name not in loaded:
-            return f" (it was made with {name}: give --plugin {name})"
+            return f" (the result was made with {name}: give --plugin {name})"
         if not text.startswith(SUM) and name != "python":
             try:
                 metadata.version(name)
             except metadata.PackageNotFoundError:
-                return f" (it was made with {name} {text}: install it)"
+                return f" (the result was made with {name} {text}: install this package)"
     return ""

@@ -108,7 +108,7 @@ def _end_at_the_second(reader: int) -> None:
 _MIN_COMPILE_SECONDS = 0.0
 
 PROGRAMS = "programs"
-"""Folder of the traced programs that are kept, within that of the compilation cache."""
+"""Folder of the stored traced programs, within the folder of the compilation cache."""
 
 _own_process = False
 
@@ -242,7 +242,7 @@ Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
 CORES_VARIABLE = "GIAJAX_CORES"
-"""Environment variable: on how many cores to compute at most."""
+"""Environment variable for the maximum number of cores."""
 
 # Of a thread that computes beside others: its part of the cores.
 _part: contextvars.ContextVar[int | None] = contextvars.ContextVar("giajax_cores", default=None)

@@ -67,7 +67,7 @@ class _Description:
     """The text of a tree in pieces."""
 
     kept: ClassVar[bool]
-    """Whether the text is of what is kept: with the numbers of all arrays."""
+    """Whether the text includes the values of all arrays, as for stored content."""
 
     def parts(self, value: Any, *, whole: bool = False) -> Iterator[str]:
         whole = whole or self.kept

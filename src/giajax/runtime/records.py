@@ -25,7 +25,7 @@ Kind = TypeVar("Kind")
 InfiniteWhereNull = Annotated[
     float, AfterValidator(lambda value: math.inf if value is None else value)
 ]
-"""The type of a number that is infinite where a file has null."""
+"""Type of a number for which null in a file means infinity."""
 
 if TYPE_CHECKING:
     Numbers = Any

@@ -29,7 +29,7 @@ from ._fit_task import FitTask
 from ._journal import checksums_of
 
 TABLES = ("start", "fix", "priors", "bounds", "ties", "groups")
-"""Keys of `[fit]` that hold a value for each of some paths."""
+"""Keys of `[fit]` that are tables of values by parameter path."""
 
 # Where the result of one fit would go, and what is computed after a single one.
 _NOT_HERE = ("out", "uncertainty")
@@ -42,7 +42,7 @@ DRAWS = {
     "log_uniform": "[low, high], both positive",
     "normal": "[mean, deviation]",
 }
-"""Distributions, and what each is of."""
+"""Distributions and the form of their arguments."""
 
 # A table with one of these is a value, and no part of a path; the first is of a prior.
 _OF_VALUES = {"value", *RANGE, *DRAWS}
@@ -73,7 +73,9 @@ def columns_of(section: Mapping[str, Any], where: str) -> dict[str, Any]:
             columns[name] = value
             continue
         if not isinstance(value, Mapping):
-            raise InputError(f"{where}: {name} must be a table of parameter paths: write it as one")
+            raise InputError(
+                f"{where}: {name} must be a table of parameter paths: write it as a table"
+            )
         try:
             paths = flat(value, leaves=_OF_VALUES)
         except ValueError as error:
@@ -141,7 +143,9 @@ def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
             "seed, method, start, fix)"
         )
     if type(count) is not int or count < 1:
-        raise InputError(f"{where}: count must be the number of draws: give a number, such as 64")
+        raise InputError(
+            f"{where}: count must be a number of draws: give a positive number, such as 64"
+        )
     check_count(count, where)
     if type(seed) is not int or seed < 0:
         raise InputError(f"{where}: seed must be zero or a positive whole number: correct it")
@@ -180,7 +184,7 @@ def _drawn(value: Any, points: np.ndarray, where: str) -> Iterator[float]:
 
         return iter((low + high * ndtri(points)).tolist())
     if not low < high or (kind == "log_uniform" and low <= 0):
-        raise InputError(f"{where} must have its lower end first, {DRAWS[kind or '']}: correct it")
+        raise InputError(f"{where} must state the lower end first, {DRAWS[kind or '']}: correct it")
     if kind == "log_uniform":
         return iter(np.exp(math.log(low) + points * math.log(high / low)).tolist())
     return iter((low + points * (high - low)).tolist())

@@ -160,10 +160,10 @@ def check_precision() -> None:
 
 
 TABLE = "sweep.parquet"
-"""Name of the table of a sweep in its folder."""
+"""File name of the table in the folder of a sweep."""
 
 FITS = "fits"
-"""Folder in it of the fits, a file each."""
+"""Subfolder of a sweep that contains one file for each fit."""
 
 
 def sweep(
