@@ -48,7 +48,7 @@ The command fits the model as `giajax fit` does, tests the residuals, fits the
 most likely suspects, keeps the best one, removes effects that are no longer
 needed, and repeats these steps.
 The steps are validated on the last fifth of each run, or on the --validation runs; the final
-model is fitted to all data. All other options are those of `giajax fit`.
+model is fitted to all runs of --data. All other options are those of `giajax fit`.
 
 DIR contains the final result in the format of `giajax fit`, explain.json with
 the steps, the parameters and the models that fit nearly as well, explain.html,
