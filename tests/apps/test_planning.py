@@ -375,14 +375,17 @@ def test_a_fit_gives_bands_and_its_values_to_the_command(tmp_path, monkeypatch, 
     capsys.readouterr()
     assert main(["plan", "--model", "fit", "--pose", "9=20", "--out", "other"]) == 2
     said = capsys.readouterr().err
-    assert "note: the model of fit is inadequate according to the verdict of its fit" in said
+    assert "note: according to its verdict, the fit fit is inadequate" in said
 
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ([], "0 targets are given, but a plan has one"),
-        (["--pose", "1=20", "--tip", "1,1,1"], "2 targets are given, but a plan has one"),
+        ([], "0 targets are given, but a plan has a single target"),
+        (
+            ["--pose", "1=20", "--tip", "1,1,1"],
+            "2 targets are given, but a plan has a single target",
+        ),
         (["--tip", "1,1"], "give three numbers in m"),
         (["--pose", "first=20"], "must be JOINT=DEG"),
         (["--pose", "20"], "must be JOINT=DEG with a number: write it like 1=20"),

@@ -556,7 +556,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
         (["--free", f"{STIFFNESS}=-1"], "give one positive number"),
         (
             ["--free", STIFFNESS, "--uncertain", f"{STIFFNESS}=1"],
-            "with --free and with --uncertain",
+            "with both --free and --uncertain",
         ),
         (["--truth", str(tmp_path / "none.csv")], "none.csv"),
         (["--truth", str(path)], "no true angle or rate"),

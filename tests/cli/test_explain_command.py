@@ -95,9 +95,12 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
     # What is there is not written over, nor mixed with other settings.
     other = ("explain", "--data", folder.parent / "none.csv", "--out", folder)
     for options, sentence in (
-        (("explain", "--resume", tmp_path), "has no explanation to continue"),
-        (("explain", "--resume", folder, "--loss", "huber"), "leave out the others"),
-        ((*other[:2], explained[0].parent / "muscle.csv", *other[3:]), "holds an explanation"),
+        (("explain", "--resume", tmp_path), "contains no explanation to continue"),
+        (("explain", "--resume", folder, "--loss", "huber"), "omit the other options"),
+        (
+            (*other[:2], explained[0].parent / "muscle.csv", *other[3:]),
+            "already has an explanation",
+        ),
         (("explain",), "give at least one run"),
     ):
         status, _, error = giajax(*options)
@@ -121,9 +124,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
         without.setattr("giajax.report._pages._NEEDED", ("markdown_of_nobody",))
         status, _, error = giajax(*asked[:5])
         assert status == 2
-        assert re.search(
-            r"pip install .*\[report\]'?, or leave the page out with --no-report", error
-        )
+        assert re.search(r"pip install .*\[report\]'?, or omit the page with --no-report", error)
     # The first fit is stopped, and there is nothing to go on with.
     status, _, error = giajax(*asked, "--force", "--budget", "0.001s")
     assert status == 1
@@ -140,7 +141,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
     assert Path("../why/explain.json").read_bytes() == whole
     status, _, error = giajax(*again, "--force")
     assert status == 2
-    assert "leave out the others" in error
+    assert "omit the other options" in error
 
 
 @pytest.mark.long

@@ -54,7 +54,7 @@ def test_it_writes_what_it_says(tmp_path, capsys):
             [str(MISSION), "--set", "air.added_mass_coefficient=1"],
             "cannot be balanced: remove the coefficient",
         ),
-        ([str(MISSION), "--quiet"], "--quiet prints no table and no file is written"),
+        ([str(MISSION), "--quiet"], "--quiet suppresses all tables"),
     ],
 )
 def test_what_is_wrong_is_one_sentence(words, sentence, tmp_path, monkeypatch, capsys):

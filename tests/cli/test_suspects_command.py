@@ -120,10 +120,10 @@ def test_a_changed_file_is_refused(folder, tmp_path, capsys):
         "\n".join(line for line in sidecar if not line.startswith("sha256")) + "\n"
     )
     assert main(["suspects", str(moved / "fit")]) == 2
-    assert "its content has changed" in capsys.readouterr().err
+    assert "has changed since the fit: " in capsys.readouterr().err
     (moved / "muscle.csv").unlink()
     assert main(["suspects", str(moved / "fit")]) == 2
-    assert "give the file with --data" in capsys.readouterr().err
+    assert "give its new path with --data" in capsys.readouterr().err
 
 
 def test_a_fit_states_an_uncertainty(folder, tmp_path, capsys):

@@ -83,7 +83,7 @@ def test_what_is_too_weak_is_said(tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["unroll", str(tmp_path / "weak.toml"), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "not unrolled after 360 min, at " in printed
+    assert "not fully unrolled after 360 min (unrolled length " in printed
     assert "the hand is too weak" in printed
     assert {path.suffix for path in out.iterdir()} == {".json", ".csv", ".png"}
     assert len(list(out.iterdir())) == 3

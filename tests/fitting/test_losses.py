@@ -363,7 +363,7 @@ def test_each_loss_weighs_outliers_among_correlated_noise():
 
 
 def test_a_loss_without_its_method_is_refused_by_its_name():
-    with pytest.raises(InputError, match="Unfinished has no rho: write it"):
+    with pytest.raises(InputError, match="Unfinished lacks rho: implement it"):
 
         @giajax.register
         class Unfinished(AbstractLoss):

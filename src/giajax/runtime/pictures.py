@@ -12,7 +12,7 @@ SIGNATURE = "giajax fit"
 """In every picture and page of giajax, so that a person's own file of that name is left alone."""
 
 FORMATS = ("png", "svg", "pdf")
-"""Endings of pictures. There is always a PNG file, which pages and records refer to."""
+"""Picture formats. A PNG file is always written, because pages and records refer to it."""
 
 
 @dataclass(frozen=True)

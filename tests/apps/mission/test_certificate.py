@@ -203,8 +203,8 @@ def test_the_command_says_the_chance_and_writes_what_is_behind_it(recording, mon
     given = [*words, "--speeds", "0.1,0.9", "--controller", "mpc", "--seed", "3"]
     assert main([*given, "--out", "chance"]) == 0
     said = capsys.readouterr().out
-    assert "of the 2 missions with the most similar rest, of 24, came in" in said
-    assert "chance to be inside within 40 s: " in said
+    assert "of the 2 missions with the most similar motion at rest (of 24) are successful" in said
+    assert "probability of success within 40 s: " in said
     facts = json.loads(Path("chance/certificate.json").read_text())
     assert facts["interval"][0] < facts["chance"] < facts["interval"][1]
     rows = pl.read_csv("chance/certificate.csv").to_dict(as_series=False)

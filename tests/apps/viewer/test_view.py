@@ -305,7 +305,7 @@ def test_markers_are_where_a_camera_sees_them(show, page):
     ("words", "said"),
     [
         (["nothing.csv"], "nothing.csv does not exist: give a run, the folder of a fit, or an arm"),
-        (["arm.toml", "arm.toml"], "a TOML file without a motion must be the only argument"),
+        (["arm.toml", "arm.toml"], "a TOML file that states no motion must be the only argument"),
         (["arm.toml", "--page", "page.html"], "page.html exists"),
         (["arm.toml", "--port", "70000", "--no-browser"], "the port is 70000"),
         (
