@@ -9,10 +9,15 @@ from . import FOLDER, PAGE, ROOT, STUDIES, page, record, write
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m evidence", description=__doc__)
-    parser.add_argument("name", nargs="?", choices=STUDIES, help="of a study; none lists them")
+    parser.add_argument(
+        "name",
+        nargs="?",
+        choices=STUDIES,
+        help="name of the study; if none is given, all are listed",
+    )
     parser.add_argument("--size", type=int, help="number of repetitions")
-    parser.add_argument("--seed", type=int, help="of the random numbers")
-    parser.add_argument("--out", type=Path, default=FOLDER, help="folder of NAME.json")
+    parser.add_argument("--seed", type=int, help="seed of the random numbers")
+    parser.add_argument("--out", type=Path, default=FOLDER, help="folder for the file NAME.json")
     arguments = parser.parse_args()
     if arguments.name is None:
         for study in STUDIES.values():

@@ -43,7 +43,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     """Spreads and biases that differ by more than chance lets them."""
     sentences = []
     if list(stored["parameters"]) != list(new["parameters"]):
-        return ["the parameters are others than those that are stored: run the study again"]
+        return ["the parameters differ from the stored parameters: run the study again"]
     for path, before in stored["parameters"].items():
         after = new["parameters"][path]
         for key in ("spread", "bias"):
@@ -64,7 +64,7 @@ def table(figures: Figures) -> list[str]:
             f"| `{path}` | {one['spread']:.3f} +- {one['spread_error']:.3f} | "
             f"{one['bias']:+.3f} +- {one['bias_error']:.3f} | {100 * one['coverage']:.1f} % |"
         )
-    rows += ["", f"{figures['came_back']} of {figures['repetitions']} fits ended with a result."]
+    rows += ["", f"{figures['came_back']} of {figures['repetitions']} repeated fits gave a result."]
     return rows
 
 

@@ -138,7 +138,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """What chances came to, and how good they are."""
     rows = [
-        "| predicted probability | cases | mean prediction | inside |",
+        "| predicted probability of success | missions | mean prediction | successful missions |",
         "| --- | --- | --- | --- |",
     ]
     for each in figures["classes"]:
@@ -153,16 +153,16 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"{figures['inside']} of {figures['cases']} missions by the {DRIVER} end inside, at air "
+        f"{figures['inside']} of {figures['cases']} missions of the {DRIVER} succeed, at air "
         f"speeds of {SPEEDS[0]:g} to {SPEEDS[1]:g} m/s. Tests of the calibration give p = "
         f"{figures['spiegelhalter_p']:.2f} (Spiegelhalter) and {figures['hosmer_lemeshow_p']:.2f} "
         "(Hosmer and Lemeshow). The Brier skill score, relative to the overall rate of success, is "
-        f"{figures['skill']:.2f}; a prediction from the true air speed scores "
+        f"{figures['skill']:.2f}; that of a prediction from the true air speed is "
         f"{figures['skill_of_the_true_air']:.2f}. For the {middling['cases']} missions at air "
-        f"speeds of {low:.2f} to {high:.2f} m/s, where 20 to 90 % succeed, the scores are "
+        f"speeds of {low:.2f} to {high:.2f} m/s, where 20 to 90 % succeed, these scores are "
         f"{middling['skill']:.2f} and {middling['skill_of_the_true_air']:.2f}. The range of air "
         "speeds of the most similar tenth of the missions contains the true air speed in "
-        f"{figures['air_holds']} missions. Number of recordings reported as unlike all others: "
+        f"{figures['air_holds']} missions. Number of recordings that are reported as outliers: "
         f"{figures['unlike']}.",
     ]
 

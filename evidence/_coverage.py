@@ -126,26 +126,24 @@ def p_value(figures: Mapping[str, Any]) -> float:
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """What would happen by chance less often than `PROBABILITY`, by classical tests."""
     if list(stored) != list(new):
-        return [f"the cases are {list(new)}, and {list(stored)} are stored: run the study again"]
+        return [f"the cases are {list(new)}, the stored cases {list(stored)}: run the study again"]
     sentences = []
     for case, before in stored.items():
         after = new[case]
         n, m = before["fits"], after["fits"]
-        for key, what in (("converged", "converged"), ("inadequate", "were called inadequate")):
+        for key, what in (("converged", "converged"), ("inadequate", "were judged inadequate")):
             if shares_differ(before[key], n, after[key], m):
                 sentences.append(
-                    f"{case}: {after[key]} of {m} fits {what}, and {before[key]} of {n} did"
+                    f"{case}: {after[key]} of {m} fits {what}; stored: {before[key]} of {n}"
                 )
         for path, old in before["parameters"].items():
             where, now = f"{case}, {path}", after["parameters"][path]
             if old["truth"] != now["truth"]:
-                sentences.append(
-                    f"{where}: the truth is {now['truth']}, and {old['truth']} is stored"
-                )
+                sentences.append(f"{where}: the truth is {now['truth']}; stored: {old['truth']}")
             if shares_differ(old["within"], n, now["within"], m):
                 sentences.append(
-                    f"{where}: {now['within']} of {m} intervals hold the truth, "
-                    f"and {old['within']} of {n} did"
+                    f"{where}: {now['within']} of {m} intervals contain the truth; "
+                    f"stored: {old['within']} of {n}"
                 )
             sentences += [f"{where}: {sentence}" for sentence in _unlike_pulls(old, now)]
     return sentences
@@ -160,18 +158,24 @@ def _unlike_pulls(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
         (each["mean_pull"], each["deviation_of_pulls"], each["intervals"]) for each in (old, new)
     )
     if stats.ttest_ind_from_stats(a, s, n, b, t, m, equal_var=False).pvalue < PROBABILITY:
-        sentences.append(f"the mean pull is {b:.2f}, and was {a:.2f}")
+        sentences.append(f"the mean pull is {b:.2f}; stored: {a:.2f}")
     ratio = stats.f(m - 1, n - 1)
     if min(ratio.cdf((t / s) ** 2), ratio.sf((t / s) ** 2)) < PROBABILITY / 2:
-        sentences.append(f"the pulls deviate by {t:.2f}, and did by {s:.2f}")
+        sentences.append(f"the standard deviation of the pulls is {t:.2f}; stored: {s:.2f}")
     return sentences
+
+
+def _shown(case: str) -> str:
+    """The stored name of a case in the words of the page."""
+    case = case.replace("plays of a joint", "play operators of a joint")
+    return case.replace("its size stated", "only its standard deviation stated")
 
 
 def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
-        "| model and noise | length of the run, correlation times | share of intervals that "
-        "contain the truth | p | verdict `inadequate` | that verdict is |",
+        "| model and noise | length of the run in correlation times | share of intervals that "
+        "contain the true value | p | verdict `inadequate` | is `inadequate` correct? |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for case, each in figures.items():
@@ -181,9 +185,9 @@ def table(figures: Figures) -> list[str]:
             for path, one in each["parameters"].items()
         )
         rows.append(
-            f"| {case} | {'-' if lengths is None else lengths} | {shares} | {p_value(each):.2g} | "
-            f"{100 * each['inadequate'] / fits:.1f} % | "
-            f"{'wrong' if each['adequate'] else 'correct'} |"
+            f"| {_shown(case)} | {'-' if lengths is None else lengths} | {shares} | "
+            f"{p_value(each):.2g} | {100 * each['inadequate'] / fits:.1f} % | "
+            f"{'no' if each['adequate'] else 'yes'} |"
         )
     return rows
 
@@ -191,8 +195,8 @@ def table(figures: Figures) -> list[str]:
 COVERAGE = Study(
     name="coverage",
     meaning=(
-        "Runs of three models with white or correlated noise are fitted from a start away from "
-        "the truth. The table lists how often the 95 % interval of a parameter contains the "
+        "Runs of three models with white or correlated noise are fitted from a start that differs "
+        "from the truth. The table lists how often the 95 % interval of a parameter contains the "
         "truth, the probability p of shares that deviate at least as much from 95 % (binomial "
         "test, corrected for the four parameters), and how often the verdict is `inadequate`. "
         "With white noise, or with a stated correlation, the nominal rate of `inadequate` is at "

@@ -88,11 +88,14 @@ def table(figures: Figures) -> list[str]:
     """A row for each experiment and arm."""
     rows = [
         "| arm | experiment | converged | expected standard error of C_D | standard error in the "
-        "fits | standard deviation of C_D | mean of C_D (truth 1.12) | intervals of 95 % with the "
-        "truth |",
+        "fits | standard deviation of C_D | mean of C_D (truth 1.12) | 95 % intervals that contain "
+        "the truth |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for world, what in (("as_foreseen", "as in the design"), ("unknown", "with memory and gusts")):
+    for world, what in (
+        ("as_foreseen", "as assumed in the design"),
+        ("unknown", "with memory and gusts"),
+    ):
         for name, each in figures["experiments"].items():
             one = each[world]
             foreseen = f"{each['expected']:.5f}" if world == "as_foreseen" else "-"
@@ -110,13 +113,13 @@ def table(figures: Figures) -> list[str]:
     ]
     rows += [
         "",
-        "First suspects in fits of the arm with memory and gusts, without both effects and then "
-        "with a free mean wind. "
+        "First suspects in fits of the arm with memory and gusts, first by a model without both "
+        "effects and then with a free mean wind. "
         f"{'. '.join(asked)}.",
         "",
         f"The expected standard error of the design is {figures['ratio']:.3f} times that of the "
-        f"base step, after {figures['evaluations']} evaluations. Over draws of the uncertain "
-        f"parameters, it is {low:.2f} to {high:.2f} times its nominal value.",
+        f"base step, after {figures['evaluations']} evaluations. For sampled values of the "
+        f"uncertain parameters, it is {low:.2f} to {high:.2f} times its nominal value.",
     ]
     return rows
 
@@ -127,7 +130,7 @@ DESIGN = Study(
         "The experiment that `giajax design` finds for C_D is compared with the paper's base step "
         "of the same joint, angle, rate and duration: by the expected standard error, and by the "
         "standard deviation of C_D over fits of repeated recordings. Half as many recordings are "
-        "made of an arm with effects that the design did not include: joints with memory (Dahl), "
+        "made of an arm with effects that the design did not assume: joints with memory (Dahl), "
         "and unrecorded gusts. Fits of that arm free the effects that are among the first "
         "suspects of the simpler fits: a mean wind, and then the memory."
     ),

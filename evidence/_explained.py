@@ -160,7 +160,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     del stored
     offs = {name: each["by hand"]["off"] for name, each in new.items()}
     return [
-        f"{name}: the model by hand finds a drag {off} errors off"
+        f"{name}: the C_D of the reference model deviates by {off} standard errors"
         for name, off in offs.items()
         if off is None or abs(off) > OFF + 1
     ]
@@ -169,8 +169,8 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each recording."""
     rows = [
-        "| omitted effects | steps | minutes on one core | verdict | C_D, deviation | C_D of the "
-        "reference model, deviation | standard error over that of the reference |",
+        "| omitted effects | steps | minutes on one core | verdict | C_D; deviation | C_D of the "
+        "reference model; deviation | ratio of the standard error to that of the reference |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -208,11 +208,11 @@ EXPLAINED = Study(
     meaning=(
         "`giajax explain` is applied to recordings that MuJoCo simulates of an arm of 12 links "
         "with five omitted effects at once, drawn at random from six groups. The table lists the "
-        "changes that it makes to the paper's model, and compares its drag coefficient with that "
-        "of a reference model, which contains all five effects and is built by hand. The true "
+        "changes of the paper's model, and compares the resulting drag coefficient with that of "
+        "a reference model, which contains all five effects and is built by hand. The true "
         "drag coefficient is 1.18. Standard errors are total errors from noise and from the "
         "selection. Deviations from the truth are in standard errors. Each run is limited to 15 "
-        "minutes on one core, and then keeps the best model so far."
+        "minutes on one core; if it reaches this limit, it returns the best model so far."
     ),
     size=10,
     seed=2,

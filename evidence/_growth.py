@@ -25,7 +25,7 @@ class Growth(AbstractModel):
         return self
 
     def failure(self, inputs: Array) -> str:
-        return "the growth is not finite: start with a smaller rate"
+        return "the growth became infinite or NaN: start with a smaller rate"
 
     def prepare(self, run: Run) -> Array:
         assert run.times is not None

@@ -74,13 +74,14 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
-        "| fit and omitted data | converged fits | rank correlation | largest shift | largest "
-        "difference between step and fit |",
+        "| fit; data omitted one at a time | converged fits | rank correlation | largest shift | "
+        "largest difference between step and fit |",
         "| --- | --- | --- | --- | --- |",
     ]
     rows += [
-        f"| {name} | {one['converged']} of {one['parts']} | {one['rank_correlation']:.3f} | "
-        f"{one['largest_shift']:.2f} | {one['largest_difference']:.2f} |"
+        f"| {name.replace(', its ', '; ')} | {one['converged']} of {one['parts']} | "
+        f"{one['rank_correlation']:.3f} | {one['largest_shift']:.2f} | "
+        f"{one['largest_difference']:.2f} |"
         for name, one in figures.items()
     ]
     return rows
@@ -91,7 +92,7 @@ INFLUENCE = Study(
     meaning=(
         "The effect of each marker or run on each parameter of a shipped fit is estimated by one "
         "step from the optimum (`giajax influence`), and compared with a complete fit without "
-        "that marker or run. Shifts are those of all parameters, in standard errors."
+        "that marker or run. The table considers the shifts of all parameters, in standard errors."
     ),
     size=1,
     seed=0,

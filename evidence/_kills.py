@@ -126,7 +126,7 @@ def _numbers(folder: Path) -> dict[str, Any]:
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """Numbers that differ after a kill, and journals that cannot be read: none is by chance."""
     if not stored.keys() >= new.keys():
-        return ["the cases are others than those that are stored: run the study again"]
+        return ["the cases differ from the stored cases: run the study again"]
     return [
         f"{name}: {each['fits'] - each['same_numbers']} of {each['fits']} fits ended at other "
         f"numbers, and {each['unreadable_journals']} journals could not be read"
@@ -138,14 +138,14 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
-        "| fits with | kills | kills after the journal was opened | unreadable journals | same "
-        "numbers |",
+        "| starts of the fit | kills | kills after the journal was opened | unreadable journals | "
+        "fits with the same numbers |",
         "| --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
         rows.append(
             f"| {name} | {each['kills']} | {each['within_the_fit']} | "
-            f"{each['unreadable_journals']} | {each['same_numbers']} of {each['fits']} fits |"
+            f"{each['unreadable_journals']} | {each['same_numbers']} of {each['fits']} |"
         )
     return rows
 

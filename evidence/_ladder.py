@@ -197,7 +197,7 @@ LADDER = Study(
     meaning=(
         "`giajax suspects --ladder` is applied to `data/synthetic/full_air.csv`, starting from a "
         "fit of the paper's model. That model omits trim weights, added mass and distributed drag "
-        "along the links. The command has no information about these omissions."
+        "along the links. The command is not told which effects are omitted."
     ),
     size=1,
     seed=1,

@@ -83,7 +83,7 @@ LADDER_FRICTION = Study(
         "`giajax suspects --ladder` is applied to `data/independent/friction.csv`, a recording "
         "simulated by MuJoCo, starting from a fit of the paper's model. That model omits Dahl "
         "friction, distributed drag along the links, and added mass without its velocity "
-        "products. The command has no information about these omissions."
+        "products. The command is not told which effects are omitted."
     ),
     size=1,
     seed=1,

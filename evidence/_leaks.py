@@ -176,18 +176,18 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     soon, false, _, _ = _shares(new)
     sentences = []
     if soon < OFTEN and len(new["arms"]) * (1 - soon) > 1:
-        sentences.append(f"{soon:.0%} of the leaks are seen within {WITHIN:g} s")
+        sentences.append(f"{soon:.0%} of the leaks are detected within {WITHIN:g} s")
     if false > FALSE and sum(arm["false_alarms"] for arm in new["arms"]) > 1:
         sentences.append(f"{false:.1f} false alarms in 20 h")
     wide = max(arm["drag_error_over_fit"] for arm in new["arms"])
     if wide > 2 * WIDER:
-        sentences.append(f"the error of a drag is {wide:.1f} of that of a fit")
+        sentences.append(f"a standard error of C_D is {wide:.1f} times that of a fit")
     off = max(abs(arm["alike_from_fit_in_errors"]) for arm in new["arms"])
     if off > ALIKE:
-        sentences.append(f"a drag is {off:.2f} of its errors from that of a fit that is as sure")
+        sentences.append(f"a C_D differs by {off:.2f} standard errors from that of an equal fit")
     far = max(abs(arm["drag_off_in_errors"]) for arm in new["arms"])
     if far > 2 * OFF:
-        sentences.append(f"a drag is {far:.1f} of its errors off")
+        sentences.append(f"a C_D deviates from the truth by {far:.1f} standard errors")
     return sentences
 
 
@@ -210,23 +210,24 @@ def table(figures: Figures) -> list[str]:
             f"leaks of {1 - LEFT:.0%} detected within {WITHIN:g} s",
             f"{soon:.0%} (median {np.median(found):.1f} s, largest {max(found):.1f} s)",
         ),
-        ("largest error of the estimated time of the leak", f"{max(times):.1f} s"),
+        ("largest error of the estimated time at which the leak starts", f"{max(times):.1f} s"),
         ("estimated change of stiffness at detection", f"{min(sizes):.0%} to {max(sizes):.0%}"),
-        (f"false alarms per 20 h, from {figures['hours']:g} h", f"{false:.2g}"),
+        (f"false alarms per 20 h, in {figures['hours']:g} h of flight", f"{false:.2g}"),
         (
-            f"drag after {FLIES:g} s within {OFF:g} standard errors of the truth",
+            f"C_D after {FLIES:g} s within {OFF:g} standard errors of the truth",
             f"{right} of {len(arms)}",
         ),
         (
-            f"standard error of drag at most {WIDER:g} of that of a fit of these {FLIES:g} s",
+            f"standard error of C_D at most {WIDER:g} times that of a fit of these {FLIES:g} s",
             f"{sure} of {len(arms)} ({min(ratio):.2f} to {max(ratio):.2f})",
         ),
         (
-            "this ratio with the assumptions of the fit; deviation from the fit, standard errors",
+            "the same ratio under the assumptions of the fit; deviation from the fit in standard "
+            "errors",
             f"{min(alike):.3f} to {max(alike):.3f}; at most {off:.2f}",
         ),
         (
-            f"leaks detected in gusts, within {min(watched):.0f} to "
+            f"leaks detected in gusts within {min(watched):.0f} to "
             f"{max(watched):.0f} s (arms of {SHORT} links)",
             f"{called} of {len(gusty)}; standard error of the stiffness before the leak: "
             f"{min(known):.1%} to {max(known):.1%}",
@@ -237,11 +238,11 @@ def table(figures: Figures) -> list[str]:
         "| --- | --- |",
         *(f"| {name} | {cell} |" for name, cell in rows),
         "",
-        f"Leaks and drag are measured with arms of {figures['links']} links, false alarms with "
-        f"arms of {SHORT} links. The arms move all the time, and the air is still except in the "
-        "last row. A fit assumes that the initial state and the equation of motion are exact. The "
-        "tracker assumes an uncertainty of 2 degrees in the initial angles, and its default "
-        "unmodelled torque. Gusts have a standard deviation of "
+        f"Leaks and C_D are estimated on arms of {figures['links']} links. False alarms are "
+        f"counted on arms of {SHORT} links. The arms move all the time, and the air is still "
+        "except in the last row. A fit assumes that the initial state and the equation of motion "
+        "are exact. The tracker assumes an uncertainty of 2 degrees in the initial angles, and "
+        "its default unmodelled torque. Gusts have a standard deviation of "
         f"{INTENSITY * float(np.linalg.norm(MEAN)):.2g} m/s and are tracked.",
     ]
 
@@ -250,8 +251,8 @@ LEAKS = Study(
     name="leaks",
     meaning=(
         "`giajax track --free` detects a leak while an arm flies, and estimates the drag "
-        "coefficient. The leak takes a fifth of the stiffness of all joints. The drag coefficient "
-        "is compared with a fit of the same run."
+        "coefficient. The leak reduces the stiffness of all joints by a fifth. The drag "
+        "coefficient is compared with a fit of the same run."
     ),
     size=10,
     seed=1,

@@ -13,6 +13,9 @@ from ._record import ROOT
 from ._study import Figures, Study, shares_differ
 
 FILES = {"on the level": "naraha.toml", "along the line": "naraha_slant.toml"}
+GEOMETRIES = {"on the level": "horizontal", "along the line": "slanted"}
+"""Stored names of the two geometries as the page has them."""
+
 WINDS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 
 
@@ -73,9 +76,9 @@ REASONS = {
 def table(figures: Figures) -> list[str]:
     """A row for each reading and speed of the air."""
     rows = [
-        "| distance of 14 m | air speed, m/s | inside within 12 min | 95 % interval | median time, "
-        "s | quartiles, s | cases with contact | largest flattening, mm | largest force, N | "
-        "reasons for failure |",
+        "| direction of the 14 m | air speed, m/s | missions inside within 12 min | 95 % interval "
+        "of the share | median time, s | quartiles, s | missions with contact | largest "
+        "flattening, mm | largest contact force, N | reasons for failure |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -87,9 +90,9 @@ def table(figures: Figures) -> list[str]:
                 for reason, count in row["reasons"].items()
             )
             rows.append(
-                f"| {name} | {row['wind_m_per_s']:g} | {row['inside']} of {row['cases']} | "
-                f"{100 * least:.1f} to {100 * most:.1f} % | {middle} | {low} to {high} "
-                f"| {row['touched']} | {1e3 * row['largest_flattening_m']:.0f} | "
+                f"| {GEOMETRIES[name]} | {row['wind_m_per_s']:g} | {row['inside']} of "
+                f"{row['cases']} | {100 * least:.1f} to {100 * most:.1f} % | {middle} | "
+                f"{low} to {high} | {row['touched']} | {1e3 * row['largest_flattening_m']:.0f} | "
                 f"{row['largest_force_N']:.1f} | {why or '-'} |"
             )
     spread = next(iter(figures.values()))["spread"]
@@ -97,9 +100,9 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"Parameters drawn for each case, with the standard deviation of their logarithm: {drawn}. "
+        f"Parameters sampled for each case, and standard deviations of their logarithms: {drawn}. "
         "The air has a horizontal mean flow of 0.3 times its speed in any direction; gusts with a "
-        "length of 2 m along the arm supply the rest. The radius of a link is 150 mm.",
+        "length scale of 2 m along the arm make up the rest. The radius of a link is 150 mm.",
     ]
 
 
@@ -107,8 +110,8 @@ MISSIONS = Study(
     name="missions",
     meaning=(
         "The operator model of `giajax mission` steers the paper's arm through the window frame "
-        "of the mock-up. The table lists, for each air speed, how often it succeeds and how soon, "
-        "how often the arm touches the frame, and the reasons for failures."
+        "of the mock-up. The table lists, for each air speed, how often the operator succeeds, the "
+        "time to success, how often the arm touches an obstacle, and the reasons for failures."
     ),
     size=1000,
     seed=1,

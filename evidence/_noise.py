@@ -185,15 +185,15 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     The four intervals of a record go together, so that a record counts once.
     """
     if not stored.keys() >= new.keys():
-        return ["the cases are others than those that are stored: run the study again"]
+        return ["the cases differ from the stored cases: run the study again"]
     sentences = []
     for case, after in new.items():
         before = stored[case]
         shares = [(round(each["within"] / 4), each["records"]) for each in (before, after)]
         if shares_differ(*shares[0], *shares[1]):
             sentences.append(
-                f"{case}: {_share(after, 'within')} of the intervals hold the truth, "
-                f"and {_share(before, 'within')} did"
+                f"{case}: {_share(after, 'within')} of the intervals contain the truth; "
+                f"stored: {_share(before, 'within')}"
             )
     return sentences
 
@@ -205,9 +205,9 @@ def _share(figures: dict[str, Any], key: str) -> str:
 def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
-        "| noise and record | length, correlation times | coverage, giajax | coverage, white "
-        "noise assumed | coverage, GLSAR | coverage, HAC | warning: shorter than 20 correlation "
-        "times |",
+        "| noise and record | length in correlation times | coverage, giajax | coverage, white "
+        "noise assumed | coverage, GLSAR | coverage, HAC | records with the warning 'shorter than "
+        "20 correlation times' |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for case, each in figures.items():
@@ -227,7 +227,8 @@ NOISE = Study(
         "A linear model with four smooth regressors is fitted to records with noise of known "
         "correlation. The table lists how often the 95 % intervals contain the truth, for giajax "
         "and for three other methods. In a record shorter than 20 correlation times, no estimate "
-        "of the noise is reliable; a fit then prints a warning, which the last column counts."
+        "of the noise is reliable, and a fit prints a warning. The last column "
+        "lists the rate of this warning."
     ),
     size=2000,
     seed=1,

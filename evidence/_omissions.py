@@ -274,7 +274,7 @@ def kept(
     with open_executor(2) as executor:
         outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=told)
     if undone := [outcome for outcome in outcomes if outcome.status != "done"]:
-        raise RuntimeError(f"{len(undone)} fits were not made: {undone[0].message}")
+        raise RuntimeError(f"{len(undone)} fits were not computed: {undone[0].message}")
     return [outcome.value for outcome in outcomes]
 
 
@@ -462,7 +462,7 @@ def _is_named(case: Case, paths: tuple[str, ...]) -> bool:
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """What would happen by chance too seldom in the counts of this study."""
-    return differing(stored, new, {"adequate": "called adequate in", "named": "named in"})
+    return differing(stored, new, {"adequate": "judged adequate in", "named": "named in"})
 
 
 _SHOWN = {
@@ -487,6 +487,12 @@ _SHOWN = {
     "joints harden": "hardening joint springs",
     "2 % of cells wrong by 0.3 m": "2 % of outliers, 0.3 m",
     "a marker that stands still": "a marker that stops moving",
+    "camera 30 ms late": "camera delay of 30 ms",
+    "camera 50 ms late": "camera delay of 50 ms",
+    "drives with a lag of 0.4 s": "drive lag of 0.4 s",
+    "lens with k1 = -0.05": "lens distortion with k1 = -0.05",
+    "12 of 10 mm": "x, y, z, noise of 10 mm",
+    "4 of 20 mm": "z, noise of 20 mm",
 }
 
 
@@ -501,8 +507,9 @@ def shown(case: str) -> str:
 def table(figures: Figures) -> list[str]:
     """A row for each omission and sensor set."""
     rows = [
-        "| omission | adequate | doubtful | deviation above 3 standard errors | adequate with "
-        "that deviation | identified | values within their 95 % intervals | other first suspects |",
+        "| omission; recorded coordinates | verdict `adequate` | verdict `doubtful` | deviation "
+        "above 3 standard errors | `adequate` and deviation above 3 standard errors | omission "
+        "identified | values within their 95 % intervals | other first suspects |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -520,10 +527,10 @@ OMISSIONS = Study(
         "MuJoCo simulates recordings of an arm of 12 links, each with one effect that the fitted "
         "model omits. The table lists how often the verdict is `adequate`, how often a parameter "
         "deviates from the truth by more than three standard errors, how often both occur "
-        "together, and how often the omission is identified. It is identified if it, or an effect "
-        "that the data can hardly distinguish from it, is among the first three suspects, or is "
-        "always fitted because it is always uncertain. The end of each label states the recorded "
-        "coordinates and their noise: x, y and z of four points with 10 mm, or only z with 20 mm."
+        "together, and how often the omission is identified. An omission is identified if it, or "
+        "an effect that the data can hardly distinguish from it, is among the first three "
+        "suspects, or if every fit frees it as a nuisance parameter. The recordings contain "
+        "x, y and z of four points with a noise of 10 mm, or only z with a noise of 20 mm."
     ),
     size=20,
     seed=1,

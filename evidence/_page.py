@@ -10,11 +10,11 @@ PAGE = FOLDER / "README.md"
 _INTRODUCTION = """\
 # Evidence
 
-This page contains studies that take too long for a test. `make evidence NAME` computes each study
-and writes its figures to the JSON file that is named below its table, together with the commit, the
-versions and the random seed. `make test-long` repeats a fiftieth of each study, or some of its
-cases, with other random numbers, and compares the results. If an interrupted study was resumed, the
-time is that of the last run.
+This page lists the results of studies that take too long for a test. `make evidence NAME` computes
+a study and writes its figures to the JSON file that is linked below its table, together with the
+commit, the versions and the random seed. `make test-long` repeats a fiftieth of each
+study, or some of its cases, with other random numbers, and compares the results. If an interrupted
+study was resumed, the stated time is that of the last run.
 """
 
 
@@ -42,4 +42,4 @@ def _section(study: Study) -> str:
         f"[{study.name}.json]({study.name}.json)."
     )
     rows = "\n".join(study.table(content["figures"]))
-    return f"## {study.name.capitalize()}\n\n{study.meaning}\n\n{rows}\n\n{run}\n"
+    return f"## {study.name.replace('_', ' ').capitalize()}\n\n{study.meaning}\n\n{rows}\n\n{run}\n"

@@ -97,8 +97,8 @@ def table(figures: Figures) -> list[str]:
     """A row for each command, of arms with springs alone and of those that remember."""
     rows = [
         "| joints | command | end of the command, median, s | tip at rest, median, s | tip at "
-        "rest, latest, s | never at rest | residual, median | stiffness changed by a quarter: "
-        "median | largest |",
+        "rest, latest, s | never at rest | residual, median | residual with a stiffness changed "
+        "by a quarter, median | same, largest |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for remembers, what in ((False, "springs only"), (True, "with memory")):
@@ -135,15 +135,15 @@ def table(figures: Figures) -> list[str]:
         f"The planner refused {len(figures['arms']) - len(arms)} of {len(figures['arms'])} moves. "
         f"The final distance of the tip from its target is at most {NEAR:g} % of the travel in "
         f"{np.count_nonzero(np.array(missed) <= NEAR)} of {len(arms)} plans, and at most "
-        f"{np.max(missed):.2f} % in all. The time until it is at rest is "
+        f"{np.max(missed):.2f} % in all plans. The time until the tip is at rest is "
         f"{np.nanmedian(sooner):.2f} times that of the faster shaped command (median; largest "
-        f"{np.nanmax(sooner):.2f}). Never means not within three periods of the slowest mode after "
-        "the end of the command.",
+        f"{np.nanmax(sooner):.2f}). A tip is counted as never at rest if it is not at rest within "
+        "three periods of the slowest mode after the end of the command.",
         "",
-        f"Parameters drawn for each arm, with the standard deviation of their logarithm: {drawn}. "
+        f"Parameters sampled for each arm, and standard deviations of their logarithms: {drawn}. "
         f"The angle of the base joint is uniform from {ANGLES[0]:g} to {ANGLES[1]:g} degrees, and "
-        f"another joint moves by half of it. The largest rate is {figures['rate_deg_per_s']:g} "
-        "degrees per second.",
+        f"another joint moves by half this angle. The largest rate is "
+        f"{figures['rate_deg_per_s']:g} degrees per second.",
     ]
 
 
@@ -157,9 +157,9 @@ PLANS = Study(
     name="plans",
     meaning=(
         "The time until the tip of the paper's arm in full air is at rest after a move is "
-        "compared for three commands: a direct move at the largest rate, the same command shaped, "
-        "and the command of `giajax plan`. The last columns list the residual swing of an arm "
-        "whose stiffness differs by a quarter."
+        "compared for three commands: a direct move at the largest rate, the same command after "
+        "shaping, and the command of `giajax plan`. The last columns list the residual swing of "
+        "an arm whose stiffness differs by a quarter."
     ),
     size=6,
     seed=1,

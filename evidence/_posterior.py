@@ -185,11 +185,15 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     return sentences
 
 
+SHOWN = {"a bent valley": "curved valley", "two near bounds": "two close bounds"}
+"""Stored names of models as the page has them."""
+
+
 def table(figures: Figures) -> list[str]:
     """Two tables: agreement, and calibration."""
     rows = [
-        "| well determined model | parameter | 95 % interval, posterior over linear | shift of "
-        "the mean over that interval | R-hat | ESS bulk | ESS tail |",
+        "| well determined model | parameter | ratio of 95 % intervals, posterior to linear | "
+        "shift of the mean relative to the interval | R-hat | ESS bulk | ESS tail |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures["agreement"].items():
@@ -200,13 +204,13 @@ def table(figures: Figures) -> list[str]:
             )
     rows += [
         "",
-        "| nonlinear model | parameter | coverage, posterior | coverage, linear interval | ranks "
-        "of the truth, in eighths | p of uniform ranks | divergent draws |",
+        "| nonlinear model | parameter | coverage, posterior | coverage, linear interval | true "
+        "values in each eighth of the ranks | p of uniform ranks | divergent draws |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures["calibration"].items():
         for path, one in each["parameters"].items():
-            rows.append(_row(name, path, one, each))
+            rows.append(_row(SHOWN[name], path, one, each))
     return rows
 
 
@@ -223,7 +227,7 @@ POSTERIOR = Study(
     name="posterior",
     meaning=(
         "Where the linear approximation is accurate, draws of `giajax posterior` are compared "
-        "with the linear interval of the fit. Where it is not, true values are drawn from the "
+        "with the linear interval of the fit. For nonlinear models, true values are drawn from the "
         "prior, and synthetic recordings with these values are fitted. The posterior interval "
         "should contain 95 % of the true values, and their ranks among independent draws should "
         "be uniform (simulation-based calibration, [Talts et al. "

@@ -141,11 +141,15 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     return sentences
 
 
+SHOWN = {"a bound": "parameter at a bound", "a bent valley": "curved valley"}
+"""Stored names of models as the page has them."""
+
+
 def table(figures: Figures) -> list[str]:
     """A row for each parameter."""
     rows = [
-        "| model | parameter | coverage, standard error | coverage, profile | median width, "
-        "profile over standard error |",
+        "| model | parameter | coverage, standard error | coverage, profile | median ratio of the "
+        "widths, profile to standard error |",
         "| --- | --- | --- | --- | --- |",
     ]
     for case, each in figures.items():
@@ -153,10 +157,11 @@ def table(figures: Figures) -> list[str]:
             continue
         for path, one in each.items():
             shares = [f"{100 * one[key] / one['fits']:.1f} %" for key in ("by_error", "by_profile")]
-            rows.append(f"| {case} | `{path}` | {' | '.join(shares)} | {one['width']:.2f} |")
+            rows.append(f"| {SHOWN[case]} | `{path}` | {' | '.join(shares)} | {one['width']:.2f} |")
     rows += [
         "",
-        "| demonstration run | difference of lower ends | difference of upper ends |",
+        "| parameter of the demonstration run | difference of the lower ends | difference of the "
+        "upper ends |",
         "| --- | --- | --- |",
     ]
     for path, (low, high) in figures["base_step"].items():

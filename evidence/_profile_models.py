@@ -20,7 +20,7 @@ class _Curve(AbstractModel):
         return self
 
     def failure(self, inputs: Array) -> str:
-        return "it is not finite: choose other values"
+        return "the prediction became infinite or NaN: choose other values"
 
     def prepare(self, run: Run) -> Array:
         return jnp.asarray(run.times)

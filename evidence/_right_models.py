@@ -83,7 +83,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     """What would happen by chance too seldom in the counts of this study."""
     from scipy.stats import binomtest
 
-    counts = {"adequate": "called adequate in", "with suspects": "accused by a suspect in"}
+    counts = {"adequate": "judged adequate in", "with suspects": "accused by a suspect in"}
     sentences = differing(stored, new, counts)
     for name, each in new.items():
         # Intervals of one fit go together: as many tests as there are recordings.
@@ -96,9 +96,9 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each kind of recording and sensor set."""
     rows = [
-        "| recording | adequate | doubtful | false alarms | deviation above 3 standard errors | "
-        "values within their 95 % intervals | standard errors over those of a fit that knows the "
-        "drawn quantity |",
+        "| recording | verdict `adequate` | verdict `doubtful` | false alarms | deviation above 3 "
+        "standard errors | values within their 95 % intervals | ratio of the standard errors to "
+        "those of a fit that frees only the drawn quantity |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -120,9 +120,9 @@ RIGHT_MODELS = Study(
         "verdict other than `adequate`, or a significant suspect. With correlated noise (rho 0.9) "
         "that is not stated, the verdict has to be `inadequate`, and only a named suspect counts "
         "as a false alarm. If delay, frame rate, scale and link widths are drawn from their usual "
-        "uncertainty, intervals are those of the total error. If only one of these quantities is "
-        "drawn, standard errors are compared with those of a fit that frees this quantity alone, "
-        "with the same prior."
+        "uncertainty, the intervals are those of the total error. If only one of these quantities "
+        "is drawn, the standard errors are compared with those of a fit that frees this quantity "
+        "alone, with the same prior."
     ),
     size=167,
     seed=1,

@@ -117,9 +117,9 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 def table(figures: Figures) -> list[str]:
     """A row for each duration and shaper."""
     rows = [
-        "| duration of the move, periods | shaper | residual, median | residual, largest | within "
-        "2 % | stiffness changed by a quarter: median | largest | within 5 % | time until the tip "
-        "is at rest, median, s |",
+        "| duration of the move, periods | shaper | residual, median | residual, largest | at most "
+        "2 % | residual with a stiffness changed by a quarter, median | same, largest | same, "
+        "at most 5 % | time until the tip is at rest, median, s |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for duration, each in figures["durations"].items():
@@ -137,7 +137,7 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"Parameters drawn for each arm, with the standard deviation of their logarithm: {drawn}. "
+        f"Parameters sampled for each arm, and standard deviations of their logarithms: {drawn}. "
         f"The angle of the base joint is uniform from {ANGLES[0]:g} to {ANGLES[1]:g} degrees. "
         "Every fourth arm has joints with memory. Residuals are relative to the travel of the tip.",
     ]

@@ -219,7 +219,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     swings = _numbers(new)
     pairs = zip(swings["nobody"], swings["mpc"], strict=True)
     return [
-        f"arm {number}: the tip swings by {held:.3f} m, and by {free:.3f} m where nobody holds it"
+        f"arm {number}: the tip swings by {held:.3f} m, and by {free:.3f} m without control"
         for number, (free, held) in enumerate(pairs)
         # In the short time of a test the arm that nobody holds hardly swings.
         if held > 2 * SHARE * free
@@ -229,12 +229,12 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 SHOWN = {
     "nobody": "none",
     "LQG of the arm without its air": "LQG, model without air",
-    "mpc that knows all": "mpc with the true parameters",
-    "mpc, joints turn by 0.7": "mpc, joint angles 0.7 of the command",
-    "mpc, joints turn by 0.85": "mpc, joint angles 0.85 of the command",
-    "mpc, joints turn by 1.1": "mpc, joint angles 1.1 of the command",
-    "mpc, joints turn by 1.2": "mpc, joint angles 1.2 of the command",
-    "mpc, joints turn by 1.4": "mpc, joint angles 1.4 of the command",
+    "mpc that knows all": "mpc with the true state and air",
+    "mpc, joints turn by 0.7": "mpc, joint angles 0.7 times the command",
+    "mpc, joints turn by 0.85": "mpc, joint angles 0.85 times the command",
+    "mpc, joints turn by 1.1": "mpc, joint angles 1.1 times the command",
+    "mpc, joints turn by 1.2": "mpc, joint angles 1.2 times the command",
+    "mpc, joints turn by 1.4": "mpc, joint angles 1.4 times the command",
 }
 """Stored names of controllers as the page has them."""
 
@@ -244,21 +244,23 @@ def table(figures: Figures) -> list[str]:
     swings = _numbers(figures)
     free = np.median(swings["nobody"])
     rows = [
-        "| controller | swing of the tip, median, m | largest, m | relative to no control | tuned "
-        "settings |",
+        "| controller | swing of the tip, median, m | swing of the tip, largest, m | median, "
+        "relative to no control | tuned settings |",
         "| --- | --- | --- | --- | --- |",
     ]
     for name, each in swings.items():
         tuned = figures.get(f"{name}, tuned", {}).get("best", "-")
         middle, most = np.median(each), np.max(each)
-        shown = [f"{x:.3f}" if np.isfinite(x) else "lost" for x in (middle, most, middle / free)]
+        shown = [
+            f"{x:.3f}" if np.isfinite(x) else "unstable" for x in (middle, most, middle / free)
+        ]
         rows.append(f"| {SHOWN.get(name, name)} | {' | '.join(shown)} | {tuned} |")
     step = figures["step_ms"]
     return [
         *rows,
         "",
         f"{len(swings['mpc'])} arms are held for {figures['seconds']:g} s at an air speed of 0.2 "
-        f"m/s. Pictures arrive {figures['latency_s']:g} s late unless another delay is stated. The "
+        f"m/s. Images arrive {figures['latency_s']:g} s late unless another delay is stated. The "
         "swing is the root mean square of the tip position about its mean in the second half. The "
         "gains of PD (1, s) and the weight of LQG are the best of a grid search on other arms; "
         f"both controllers start after 60 s. The median time of a decision is {step['median']:g} "
@@ -270,7 +272,7 @@ HOLDING = Study(
     name="holding",
     meaning=(
         "`giajax mission --controller mpc --keep-station` and other controllers hold the tip of "
-        "the paper's arm in moving air. The table compares the remaining swing."
+        "the paper's arm in moving air. The table compares the residual swing of the tip."
     ),
     size=12,
     seed=1,

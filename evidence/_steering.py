@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ._missions import REASONS
+from ._missions import GEOMETRIES, REASONS
 from ._record import ROOT
 from ._study import Figures, Study, shares_differ
 
@@ -149,7 +149,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 SHOWN = {
     "mpc, some of these, 200 s": "mpc, subset of the cases, limit of 200 s",
-    "mpc that knows all, 200 s": "mpc with the true parameters, the same subset",
+    "mpc that knows all, 200 s": "mpc with the true state and air, the same subset",
 }
 """Stored names of controllers as the page has them."""
 
@@ -157,8 +157,9 @@ SHOWN = {
 def table(figures: Figures) -> list[str]:
     """A row for each controller and speed of the air."""
     rows = [
-        "| distance of 14 m | air speed, m/s | controller | inside within 12 min | median time, s "
-        "| quartiles, s | cases with contact | largest flattening, mm | reasons for failure |",
+        "| direction of the 14 m | air speed, m/s | controller | missions inside within 12 min | "
+        "median time, s | quartiles, s | missions with contact | largest flattening, mm | "
+        "reasons for failure |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -170,7 +171,8 @@ def table(figures: Figures) -> list[str]:
             )
             flat = row.get("largest_flattening_m")
             cells = [
-                name, f"{row['wind_m_per_s']:g}", SHOWN.get(row["driver"], row["driver"]),
+                GEOMETRIES[name], f"{row['wind_m_per_s']:g}",
+                SHOWN.get(row["driver"], row["driver"]),
                 f"{row['inside']} of {row['cases']}", row["median_s"] or "-", f"{low} to {high}",
                 row.get("touched", "-"), "-" if flat is None else f"{1e3 * flat:.0f}", why or "-",
             ]  # fmt: skip
@@ -178,8 +180,8 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"Pictures arrive {LATENCY:g} s late. The operator model is retuned to 0.3 m/s, and to "
-        "2 deg/s on the way to the start of its approach.",
+        f"Camera images arrive {LATENCY:g} s late. The operator model is retuned: its speed is 0.3 "
+        "m/s, and its joints move to the approach at 2 deg/s.",
     ]
 
 
@@ -187,8 +189,8 @@ STEERING = Study(
     name="steering",
     meaning=(
         "`giajax mission --controller mpc` and other controllers steer the tip of the paper's arm "
-        "through the window frame of the mock-up. The table lists how often they succeed and how "
-        "soon."
+        "through the window frame of the mock-up. The table lists how often they succeed and "
+        "the time to success."
     ),
     size=72,
     seed=1,

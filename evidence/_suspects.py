@@ -155,7 +155,7 @@ def _recorded(
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """What would happen by chance less often than `PROBABILITY` in the counts of this study."""
-    return differing(stored, new, {"found": "found in", "inadequate": "called inadequate in"})
+    return differing(stored, new, {"found": "found in", "inadequate": "judged inadequate in"})
 
 
 def differing(stored: Figures, new: Figures, counts: Mapping[str, str]) -> list[str]:
@@ -168,7 +168,7 @@ def differing(stored: Figures, new: Figures, counts: Mapping[str, str]) -> list[
     for name, after in new.items():
         before = stored.get(name)
         if before is None:
-            sentences.append(f"{name}: no figures of it are stored: run the study again")
+            sentences.append(f"{name}: no figures of this case are stored: run the study again")
             continue
         n, m = before["recordings"], after["recordings"]
         for key, what in counts.items():
@@ -181,8 +181,8 @@ def differing(stored: Figures, new: Figures, counts: Mapping[str, str]) -> list[
 def table(figures: Figures) -> list[str]:
     """A row for each omission."""
     rows = [
-        "| omitted effect | inadequate | among the first three suspects | as first suspect | other "
-        "first suspects |",
+        "| omitted effect | verdict `inadequate` | effect among the first three suspects | effect "
+        "is the first suspect | other first suspects |",
         "| --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():

@@ -221,7 +221,7 @@ def _speed(folder: Path, count: int) -> Figures:
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """Fits that are lost, done twice or other ones: none is by chance. How fast, is."""
     if stored.keys() != new.keys():
-        return ["the cases are others than those that are stored: run the study again"]
+        return ["the cases differ from the stored cases: run the study again"]
     return [
         f"{name}: {each['lost']} fits lost, {each['done_twice']} done twice, "
         f"{each['failed']} failed, {each['rows']} rows of {each['fits']}, and the table is "
@@ -243,19 +243,20 @@ def _is_as_serial(each: Figures) -> bool:
 def table(figures: Figures) -> list[str]:
     """A row for each kind of workers, and a sentence on speed."""
     rows = [
-        "| workers | fits | command killed | workers killed | lost fits | fits computed twice | "
-        "same table as a serial sweep |",
+        "| workers | fits | kills of the command | killed workers | lost fits | fits computed "
+        "twice | same table as a serial sweep |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
         if name != "speed":
             same = "yes, bit for bit" if each["identical_to_serial"] else "no"
             rows.append(
-                f"| {name} | {each['fits']} | {each['kills']} times | {each['workers_killed']} | "
+                f"| {name.replace('a cluster of two', 'a cluster of two workers')} | "
+                f"{each['fits']} | {each['kills']} | {each['workers_killed']} | "
                 f"{each['lost']} | {each['done_twice']} | {same} |"
             )
     words = _in_words(figures["speed"])
-    return [*rows, "", f"{words} Other programs ran on the machine at the same time."]
+    return [*rows, "", f"{words} Other programs ran on the machine during this measurement."]
 
 
 def run_speed(size: int, seed: int) -> Figures:
@@ -277,9 +278,10 @@ def speed_table(figures: Figures) -> list[str]:
 
 def _in_words(speed: Figures) -> str:
     return (
-        f"Two workers take {speed['seconds_by_two']:.1f} s for {speed['fits']} fits, and one takes "
-        f"{speed['seconds_by_one']:.1f} s. The speed-up is {speed['times_faster']:.2f} (median of "
-        f"{speed['rounds']} successive pairs; range {speed['least']:.2f} to {speed['most']:.2f})."
+        f"Two workers take {speed['seconds_by_two']:.1f} s for {speed['fits']} fits, and one "
+        f"worker takes {speed['seconds_by_one']:.1f} s. The speed-up is "
+        f"{speed['times_faster']:.2f} (median of {speed['rounds']} successive pairs; range "
+        f"{speed['least']:.2f} to {speed['most']:.2f})."
     )
 
 
@@ -289,7 +291,7 @@ SWEEP = Study(
         "Small fits are computed by `giajax sweep` with two spawned processes, or with a "
         "dask.distributed cluster of two workers. The command is killed three times at random "
         "moments and restarted, and one worker is killed. The table lists whether each fit occurs "
-        "exactly once, with the numbers of a serial sweep."
+        "exactly once, with the same numbers as in a serial sweep."
     ),
     size=2000,
     seed=1,

@@ -194,9 +194,9 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
                 f"arm {number}: the tip is {arm['tip_m']:.3f} m off, and at most {TIP}"
             )
         if not NEES[0] / 2 < arm["nees"] < 2 * NEES[1]:
-            sentences.append(f"arm {number}: NEES per state {arm['nees']:.2f}, and about 1 is due")
+            sentences.append(f"arm {number}: NEES per state {arm['nees']:.2f}; about 1 is expected")
         if not arm.get("gusts_called", True):
-            sentences.append(f"arm {number}: that gusts are missing is not said")
+            sentences.append(f"arm {number}: the verdict does not report the omitted gusts")
     return sentences
 
 
@@ -205,13 +205,13 @@ def table(figures: Figures) -> list[str]:
     heads = [
         "arm",
         "NEES per state",
-        "within 95 %",
+        "states within their 95 % bands",
         "tip error, filter, m",
-        "smoother, m",
-        "in real time, m",
-        "error of the wind across, m/s",
+        "tip error, smoother, m",
+        "tip error, in real time, m",
+        "error of the crosswind, m/s",
         "time per event, ms",
-        "adequate",
+        "verdict adequate",
         "error of 0.2 s in the delay detected",
         "omitted gusts detected",
     ]
@@ -237,7 +237,7 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        "Stiffness is drawn with a standard deviation of 5 % and drag with 10 %; the filter "
+        "Stiffness is sampled with a standard deviation of 5 % and C_D with 10 %; the filter "
         "assumes the same uncertainties. Errors of the tip are root mean squares over 130 s. The "
         "real-time estimate is the prediction of the present state, half a second after the last "
         "exposure. The wind is the mean over the links, from 120 s on.",

@@ -236,10 +236,10 @@ def test_a_part_of_a_study_run_again_agrees_with_what_is_stored(study):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"within": 4}, "4 of 10 intervals hold the truth, and 470 of 500 did"),
-        ({"mean_pull": 2.0}, "the mean pull is 2.00, and was 0.02"),
-        ({"deviation_of_pulls": 2.5}, "the pulls deviate by 2.50, and did by 1.01"),
-        ({"truth": 3.0}, "the truth is 3.0, and 2.0 is stored"),
+        ({"within": 4}, "4 of 10 intervals contain the truth; stored: 470 of 500"),
+        ({"mean_pull": 2.0}, "the mean pull is 2.00; stored: 0.02"),
+        ({"deviation_of_pulls": 2.5}, "the standard deviation of the pulls is 2.50; stored: 1.01"),
+        ({"truth": 3.0}, "the truth is 3.0; stored: 2.0"),
         ({}, None),
     ],
 )

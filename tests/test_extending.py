@@ -99,7 +99,7 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
         assert checked["relative_difference"] < 1e-4
     # Without the plug-in, which this process has not imported.
     assert main(["report", folder, "--force"]) == 2
-    assert f"it was made with {name}.py: give --plugin {name}.py" in capsys.readouterr().err
+    assert f"the result was made with {name}.py: give --plugin {name}.py" in capsys.readouterr().err
     if name == "coffee_filter":
         assert main(["check", "--data", "filter.csv"]) == 2
         said = capsys.readouterr().err

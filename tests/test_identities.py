@@ -240,5 +240,5 @@ def test_what_is_no_data_counts_by_what_a_copy_would_have():
 
 def test_what_nothing_describes_is_refused():
     for value in (lambda: None, SimpleNamespace(at=lambda: None), (n for n in "a")):
-        with pytest.raises(InputError, match="is or has what no text describes"):
+        with pytest.raises(InputError, match="cannot be described as text"):
             _ = key_of(value)

@@ -8,8 +8,10 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -28,6 +30,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[1]
 OWN = {"air.drag_coefficient": 1.3, "joints.pitch_stiffness": 3.1, "joints.damping": 0.05}
 NOISE = 0.015  # m
+_PATIENCE = 300.0  # s, for a page
 LINKS = ("link03", "link08", "link14", "link20")
 
 
@@ -46,6 +49,7 @@ class Terminal:
         self._environment = {k: v for k, v in os.environ.items() if not ours.match(k)}
         cache = str(home / "programs")
         self._environment |= {"BROWSER": str(browser), "JAX_COMPILATION_CACHE_DIR": cache}
+        self._environment["PYTHON"] = sys.executable
 
     def start(self, line):
         known = self._known
@@ -78,14 +82,20 @@ class Terminal:
         """A line that runs until Ctrl-C; the address with which it opens a browser."""
         self._opened.unlink(missing_ok=True)
         process = self.start(line)
+        late = time.monotonic() + _PATIENCE
         try:
             while not (self._opened.exists() and self._opened.read_text().endswith("\n")):
                 assert process.poll() is None, process.communicate()
+                assert time.monotonic() < late, f"{line}: no page was opened"
                 time.sleep(0.1)
             yield self.last_opened()
         finally:
             os.killpg(process.pid, signal.SIGINT)
-            process.communicate()
+            try:
+                process.communicate(timeout=_PATIENCE)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                raise
 
 
 def record(path):
@@ -128,8 +138,9 @@ def look(address, tmp_path, script):
 
 def test_the_readme_from_top_to_bottom_with_a_file_of_ones_own(tmp_path):
     clone = tmp_path / "giajax"
-    if subprocess.run(["git", "clone", "--quiet", ROOT, clone]).returncode:
-        pytest.skip("this is no checkout of git, so that nothing can be cloned")
+    if shutil.which("git") is None or not (ROOT / ".git").exists():
+        pytest.skip("without a checkout of git nothing can be cloned")
+    subprocess.run(["git", "clone", "--quiet", ROOT, clone], check=True)
     terminal = Terminal(clone, tmp_path)
     readme = (clone / "README.md").read_text(encoding="utf-8")
     record(clone / "run.csv")

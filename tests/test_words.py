@@ -58,6 +58,29 @@ def phrases_of(path):
     ]
 
 
+# Templates that are filled by `format`, patterns, and lines of a file of styles.
+_TEMPLATES = {"_fit.py", "_foreign.py", "_arm_figures.py", "_tracker.py", "_simulate.py"}
+_NAMED = re.compile(r"\{_?[a-zA-Z_][\w.]*(:[^{}]*)?\}|\{[^{}]*\w\([^{}]*\)[^{}]*\}")
+
+
+def test_no_message_lost_its_f():
+    """A string with the name of a value in braces is formatted."""
+    found = []
+    for path in SOURCES:
+        tree = ast.parse(path.read_text())
+        kinds = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+        documented = [node for node in ast.walk(tree) if isinstance(node, kinds)]
+        docstrings = {ast.get_docstring(node, clean=False) for node in documented}
+        found += [
+            f"{path.name}:{node.lineno}: {node.value}"
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Constant) and isinstance(node.value, str)
+            if node.value not in docstrings and "\n" not in node.value
+            if path.name not in _TEMPLATES and _NAMED.search(node.value)
+        ]
+    assert found == []
+
+
 @pytest.mark.parametrize("paths", [PAGES, SOURCES], ids=["pages", "sources"])
 def test_phrases_are_those_of_the_field(paths):
     found = [

@@ -1,15 +1,17 @@
 """Notebooks as pages: their text, their code, and what it prints and draws.
 
 Notebooks are stored without outputs. Each is executed once and its outputs are kept in
-`build/notebooks` until the notebook, the source of giajax or the constraints change. With
+`build/notebooks` until the notebook, the source of giajax or what is installed changes. With
 GIAJAX_SHORT in the environment its short form is executed, and is kept separately: CI builds the
 site with it, and the tests of the notebooks then use the same executions.
 """
 
 import hashlib
 import os
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,6 +21,7 @@ from nbclient import NotebookClient
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "build" / "notebooks"
+_SOURCES = {".py", ".js", ".css", ".html", ".toml", ".md"}
 
 # Kernels keep compiled programs and need no display; the last one avoids a warning of Jupyter.
 _VARIABLES = {
@@ -60,8 +63,10 @@ def executed(path: Path, kept: Path = KEPT) -> Any:
 
 def _key(path: Path) -> str:
     """What the outputs of a notebook depend on, as a checksum."""
-    found = hashlib.sha256()
-    for each in (path, ROOT / "constraints.txt", *sorted((ROOT / "src").rglob("*.py"))):
+    installed = sorted(f"{each.name} {each.version}" for each in metadata.distributions())
+    found = hashlib.sha256(f"{sys.version} {installed}".encode())
+    sources = (each for each in (ROOT / "src").rglob("*") if each.suffix in _SOURCES)
+    for each in (path, Path(__file__), *sorted(sources)):
         found.update(each.read_bytes())
     return found.hexdigest()[:16]
 

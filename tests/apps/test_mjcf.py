@@ -147,12 +147,12 @@ def test_what_a_file_switches_off_is_off(tmp_path):
     assert float(arm.joints.pitch_stiffness) == 0
     np.testing.assert_array_equal(arm.joints.damping, 0)
     floating = CAPSULES.replace('<body pos="0.5 0 0">', '<body pos="0.5 0 0" gravcomp="1">')
-    assert "gravcomp of bodies is lost" in read_mjcf(written(tmp_path, "up.xml", floating)).lost
+    assert "gravcomp of bodies is omitted" in read_mjcf(written(tmp_path, "up.xml", floating)).lost
 
 
 def test_an_arm_that_mujoco_refuses_is_named():
     arm = giajax.takeichi_20m(2, inertia_axial=1.0, inertia_transverse=0.1)
-    with pytest.raises(giajax.InputError, match="MuJoCo refuses this arm"):
+    with pytest.raises(giajax.InputError, match="MuJoCo rejects this arm"):
         export_mjcf(arm)
 
 
@@ -160,10 +160,10 @@ def test_what_is_lost_is_said(tmp_path):
     arm, _, _, _, lost = read_mjcf(written(tmp_path, "robot.urdf", ROBOT), diameter=0.05)
     assert any("limits" in sentence for sentence in lost)
     np.testing.assert_allclose(arm.joints.laws["end_stops"].upper, [3.0, np.pi])
-    assert any("six points each: 1" in sentence for sentence in lost)
+    assert any("becomes six point masses: 1" in sentence for sentence in lost)
     beyond = ROBOT.replace('lower="-3"', 'lower="1"')
     lost = read_mjcf(written(tmp_path, "beyond.urdf", beyond), diameter=0.05).lost
-    assert "a range without 0 in it is extended to 0" in lost
+    assert "the range of a joint that does not contain 0 is extended to 0" in lost
     several = CAPSULES.replace('stiffness="3"/>', 'stiffness="4"/>')
     read = read_mjcf(written(tmp_path, "several.xml", several))
     assert any("several stiffnesses" in sentence for sentence in read.lost)
@@ -175,9 +175,9 @@ def test_what_is_lost_is_said(tmp_path):
     ("text", "error"),
     [
         ("<mujoco><worldbody/></mujoco>", "has no joint"),
-        ("<muj", "is not read by MuJoCo"),
+        ("<muj", "MuJoCo cannot read"),
         (CAPSULES.replace('name="elbow"', 'name="elbow" type="slide"'), "'elbow' is not a hinge"),
-        (CAPSULES.replace('body pos="0.4 0 0"', 'body pos="0.4 0 0.1"'), "'wrist' is 0.1 m off"),
+        (CAPSULES.replace('body pos="0.4 0 0"', 'body pos="0.4 0 0.1"'), "'wrist' is 0.1 m away"),
         (CAPSULES.replace('body pos="0.5 0 0"', 'body pos="0 0 0"'), "'shoulder' has no length"),
         (ROBOT.replace('parent link="l1"', 'parent link="base"'), "is a tree"),
         (ROBOT, "no geom states the diameter"),

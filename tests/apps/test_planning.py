@@ -207,7 +207,7 @@ def test_ends_too_near_an_obstacle_are_refused_by_its_name():
         with pytest.raises(InputError, match=f"where the command {where}, link 3 is .* from shelf"):
             plan_command(model, Pose(pose), begin=begin)
     inside = ArmModel(beside(arm(), dataclasses.replace(BOX, centre=jnp.array([3.2, 0.0, 0.0]))))
-    with pytest.raises(InputError, match=r"link 3 is 0\.28 m within shelf"):
+    with pytest.raises(InputError, match=r"link 3 is 0\.28 m inside shelf"):
         plan_command(inside, Pose(near))
 
 
@@ -219,7 +219,7 @@ def test_a_way_past_the_opening_is_refused():
     ways = {side: np.stack([x, side + 0 * x, 0 * x], axis=1) for side in (0.4, 0.6)}
     target.check(around, ways[0.4])
     for tips in (ways[0.6], ways[0.4][:5], ways[0.4][::-1]):
-        with pytest.raises(InputError, match="does not lead through the opening"):
+        with pytest.raises(InputError, match="does not pass through the opening"):
             target.check(around, tips)
 
 
@@ -267,16 +267,19 @@ def test_the_paper_s_arm_goes_through_the_opening():
 
 
 TOO_MUCH = [
-    ({"target": Pose(np.zeros(LINKS + 1))}, "the pose has 4 angles, and the arm has 3 joints"),
+    ({"target": Pose(np.zeros(LINKS + 1))}, "the pose has 4 angles, but the arm has 3 joints"),
     ({"target": Pose(np.zeros(LINKS))}, "the tip is already at its target"),
     ({"target": Pose(np.deg2rad([70.0, 0, 0]))}, "is commanded to 70 deg"),
     ({"target": Tip((9.0, 0.0, 1.0))}, "the tip cannot be at .* choose a target within reach"),
-    ({"target": Through()}, "no opening is around the arm"),
-    ({"duration": 1.0}, "the way there takes 10.0 s, and the command is to last 1 s"),
+    ({"target": Through()}, "the arm has no opening to enter"),
+    (
+        {"duration": 1.0},
+        "the motion to the target takes 10.0 s, but the command is to last only 1 s",
+    ),
     ({"limits": CommandLimits(pressure=1e4)}, "the arm has no muscles"),
-    ({"begin": np.zeros(2)}, "the beginning has 2 angles"),
-    ({"within": 0.0}, "a share between 0 and 1"),
-    ({"knots": 1}, "cannot brake"),
+    ({"begin": np.zeros(2)}, "the initial pose has 2 angles"),
+    ({"within": 0.0}, "a number between 0 and 1"),
+    ({"knots": 1}, "too short to brake"),
     ({"duration": -1.0}, "give a positive number"),
 ]
 
@@ -372,14 +375,17 @@ def test_a_fit_gives_bands_and_its_values_to_the_command(tmp_path, monkeypatch, 
     capsys.readouterr()
     assert main(["plan", "--model", "fit", "--pose", "9=20", "--out", "other"]) == 2
     said = capsys.readouterr().err
-    assert "note: the model of fit is inadequate according to the verdict of its fit" in said
+    assert "note: according to its verdict, the fit fit is inadequate" in said
 
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ([], "0 targets are given, but a plan has one"),
-        (["--pose", "1=20", "--tip", "1,1,1"], "2 targets are given, but a plan has one"),
+        ([], "0 targets are given, but a plan has a single target"),
+        (
+            ["--pose", "1=20", "--tip", "1,1,1"],
+            "2 targets are given, but a plan has a single target",
+        ),
         (["--tip", "1,1"], "give three numbers in m"),
         (["--pose", "first=20"], "must be JOINT=DEG"),
         (["--pose", "20"], "must be JOINT=DEG with a number: write it like 1=20"),

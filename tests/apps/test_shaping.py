@@ -63,7 +63,7 @@ def test_without_damping_the_impulses_are_those_of_the_papers():
     sizes = [(1 + kept) / 4, (1 - kept) / 2, (1 + kept) / 4]
     np.testing.assert_allclose(extra_insensitive(8.0, 0.0).sizes, sizes, atol=1e-9)
     np.testing.assert_allclose(extra_insensitive(8.0, 0.0).times, [0, 4, 8], atol=1e-8)
-    with pytest.raises(InputError, match=r"a damping up to 0\.55, and it is 0\.6"):
+    with pytest.raises(InputError, match=r"damping ratio is 0\.6, but EI exists only up to 0\.55"):
         extra_insensitive(8.0, 0.6)
 
 
@@ -170,7 +170,7 @@ def test_what_cannot_be_shaped_is_refused(short):
     with pytest.raises(InputError, match="the command does not move the tip"):
         shape_command(short, moved(0.0, 3))
     unstable = replace(short, {"joints.pitch_stiffness": -1.0})
-    with pytest.raises(InputError, match="the arm is not stable at the end of the command"):
+    with pytest.raises(InputError, match="the pose at the end of the command is unstable"):
         shape_command(unstable, moved(0.2, 3))
 
 

@@ -314,17 +314,17 @@ def test_a_run_that_is_followed_knows_its_wind_its_start_and_its_noise(model, tm
     assert last.nis is not None
     assert last.nis < 2
     assert rows.kept == path.read_bytes()
-    with pytest.raises(InputError, match="do not track one"):
+    with pytest.raises(InputError, match="do not track a wind"):
         giajax.Tracker(model, noise={"tip_z": 0.01}, unknown=Unknown(air=Air(WIND, 0.1)), wind=wind)
 
 
 def test_what_cannot_be_tracked_is_refused(model):
     run, *_ = recorded(model.arm, lasts=2.0)
     quiet = Run.from_arrays(run.times, run.values)
-    with pytest.raises(InputError, match=r"the noise of .* is not known"):
+    with pytest.raises(InputError, match=r"the noise of .* is unknown"):
         track(model, quiet)
     joint = giajax.model_for([giajax.read_run(DATA / "joint.csv")])
-    with pytest.raises(InputError, match="this is for arms"):
+    with pytest.raises(InputError, match="an arm is required"):
         track(joint, run)
     with pytest.raises(InputError, match=r"clock_rate is 0\.01"):
         track(replace(model, {"camera.clock_rate": 0.01}), run)
@@ -335,9 +335,9 @@ def test_what_cannot_be_tracked_is_refused(model):
     )
     with pytest.raises(InputError, match="tracking needs commanded angles"):
         track(model, torque)
-    with pytest.raises(InputError, match="gusts are tracked at 9 places"):
+    with pytest.raises(InputError, match="gusts are to be tracked at 9 places"):
         track(model, run, unknown=Unknown(air=Air(WIND, 0.1, places=9)))
-    with pytest.raises(InputError, match="each positive"):
+    with pytest.raises(InputError, match="must be a positive number in SI units"):
         giajax.Tracker(model, noise={})
 
 
@@ -493,7 +493,7 @@ def test_a_run_that_cannot_be_followed_is_tried_with_more_unmodelled_torque(stil
     notes = track_notes(found, judge(model, found, look=False))
     assert any("2 times as much" in note for note in notes)
     assert np.all(np.isfinite(found.smoothed.mean))
-    assert any("the state becomes infinite; again with" in line for line in said)
+    assert any("the state became infinite; repeating with" in line for line in said)
     # Where somebody says how much torque is unmodelled, it is that.
     run = leaking(still_arm, at=2.0, left=1.0, lasts=5.0)
     with pytest.raises(InputError, match="its state becomes infinite; allow more"):
@@ -556,7 +556,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
         (["--free", f"{STIFFNESS}=-1"], "give one positive number"),
         (
             ["--free", STIFFNESS, "--uncertain", f"{STIFFNESS}=1"],
-            "with --free and with --uncertain",
+            "with both --free and --uncertain",
         ),
         (["--truth", str(tmp_path / "none.csv")], "none.csv"),
         (["--truth", str(path)], "no true angle or rate"),

@@ -273,7 +273,7 @@ def test_what_is_older_than_the_history_is_lost():
     assert not np.array_equal(follower.state.mean, before.mean)
     with pytest.raises(InputError, match="a row of 3 measurements is given for 2 channels"):
         follower.measure(4.0, [0.0, 0.0, 0.0])
-    with pytest.raises(InputError, match="measurements are given for nan s"):
+    with pytest.raises(InputError, match="the time of the measurements is nan s"):
         follower.measure(np.nan, [0.0, 0.0])
     with pytest.raises(InputError, match=" s, before the last measurement at 3"):
         follower.ahead(2.9)

@@ -156,7 +156,7 @@ def test_a_clock_that_is_late_is_a_phase_of_the_spectra_alone():
     ]
     np.testing.assert_array_equal(*shown)
     slow = giajax.replace(MODEL, {"encoder.clock_rate": 0.01})
-    with pytest.raises(InputError, match=r"has a rate of 0.01, .* leave clock_rate out"):
+    with pytest.raises(InputError, match=r"has a rate of 0.01, .* remove clock_rate"):
         resting(slow, run)
 
 
@@ -238,13 +238,13 @@ def test_the_gradient_is_that_of_the_likelihood():
     [
         ({"command": np.linspace(0, 0.1, 601)}, "moves by"),
         ({"lasts": 60.0}, "too short"),
-        ({"mean": None}, "no mean wind"),
-        ({"mean": [0.0, 0.0, 0.0]}, "no mean wind"),
-        ({"free": ["colour"]}, "free is colour"),
+        ({"mean": None}, "the initial mean wind"),
+        ({"mean": [0.0, 0.0, 0.0]}, "the initial mean wind"),
+        ({"free": ["colour"]}, "the free parameters are colour"),
         ({"jitter": 0.05}, "even"),
         ({"gaps": 100}, "empty in"),
         ({"channel": "link05_z"}, "has link05_z, but"),
-        ({"channel": "link02_inclination"}, "of which there are no spectra"),
+        ({"channel": "link02_inclination"}, "for which no spectrum can be computed"),
     ],
 )
 def test_what_is_no_record_of_rest_is_refused(change, words):

@@ -179,7 +179,7 @@ def test_what_nobody_expects_is_a_sentence_and_a_file(run, tmp_path, capsys, mon
     assert (out, err.count("\n")) == ("", 1)
     assert err.startswith("giajax: internal error (ZeroDivisionError (")
     (file,) = tmp_path.glob("giajax-*.txt")
-    assert f"report it with {file}, which has the traceback" in err
+    assert f"report it with {file}, which contains the traceback" in err
     assert f" check --data {run}\n\nTraceback (most recent call last):\n" in file.read_text()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
     assert main(["check", "--data", str(run)]) == 4

@@ -45,7 +45,7 @@ def test_steps_parameters_files_and_a_page(explained):
     result = load_result(folder)
     assert result.parameters["muscle.end_correction"].value == pytest.approx(1.7, abs=0.02)
     page = (folder / "explain.html").read_text()
-    assert "What the data support" in page
+    assert "Model extensions supported by the data" in page
     assert "Content-Security-Policy" in page
     # What is left of it is a result for all other commands.
     status, _, _ = giajax("predict", folder, "--data", folder.parent / "muscle.csv")
@@ -72,9 +72,9 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
     # A journal that says what none does is refused, and no file beyond the fits is read.
     for line, why in (
         ("[" * 5_000, "nested more than"),
-        ('{"name": "first"}', "it is not a line of an explanation"),
+        ('{"name": "first"}', "it is not a valid line of this journal"),
         ("[]", "is [], but must be an object"),
-        ('{"name": "first", "fit": "../../other.json"}', "it names no file of its fits"),
+        ('{"name": "first", "fit": "../../other.json"}', "it does not name the file of a fit"),
         ('{"name": "first", "fit": 3}', "fit is 3, but must be text"),
         ("\udcff", "not JSON"),
     ):
@@ -85,19 +85,22 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
         assert "explain.jsonl" in error
         assert why in error
     (folder / "explain.jsonl").write_text(lines[0].rstrip("}") + ', "tries": 0}')
-    assert "has fewer tries than 1" in giajax(*asked)[2]
+    assert "states fewer than 1 suspect to try" in giajax(*asked)[2]
     # Of a budget that is over the steps are those so far, and what goes on says how.
     (folder / "explain.jsonl").write_text("\n".join(lines[:4]) + "\n")
     status, out, error = giajax(*asked[:-1], "--budget", "0.001s")
     assert (status, steps(folder)) == (0, STEPS[:1])
-    assert "was used up" in out
+    assert "was exhausted" in out
     assert f"giajax explain --resume {folder}" in error
     # What is there is not written over, nor mixed with other settings.
     other = ("explain", "--data", folder.parent / "none.csv", "--out", folder)
     for options, sentence in (
-        (("explain", "--resume", tmp_path), "has no explanation to continue"),
-        (("explain", "--resume", folder, "--loss", "huber"), "leave out the others"),
-        ((*other[:2], explained[0].parent / "muscle.csv", *other[3:]), "holds an explanation"),
+        (("explain", "--resume", tmp_path), "contains no explanation to continue"),
+        (("explain", "--resume", folder, "--loss", "huber"), "omit the other options"),
+        (
+            (*other[:2], explained[0].parent / "muscle.csv", *other[3:]),
+            "already has an explanation",
+        ),
         (("explain",), "give at least one run"),
     ):
         status, _, error = giajax(*options)
@@ -121,13 +124,11 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
         without.setattr("giajax.report._pages._NEEDED", ("markdown_of_nobody",))
         status, _, error = giajax(*asked[:5])
         assert status == 2
-        assert re.search(
-            r"pip install .*\[report\]'?, or leave the page out with --no-report", error
-        )
+        assert re.search(r"pip install .*\[report\]'?, or omit the page with --no-report", error)
     # The first fit is stopped, and there is nothing to go on with.
     status, _, error = giajax(*asked, "--force", "--budget", "0.001s")
     assert status == 1
-    assert error == "giajax: the budget was used up: this is the result so far\n"
+    assert error == "giajax: the time budget was exhausted: this is the result so far\n"
     assert giajax(*asked, "--force") == (0, "", "")
     whole = Path("why/explain.json").read_bytes()
     assert giajax(*asked, "--force") == (0, "", "")
@@ -140,7 +141,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
     assert Path("../why/explain.json").read_bytes() == whole
     status, _, error = giajax(*again, "--force")
     assert status == 2
-    assert "leave out the others" in error
+    assert "omit the other options" in error
 
 
 @pytest.mark.long

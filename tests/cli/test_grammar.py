@@ -90,7 +90,7 @@ def test_what_writes_has_force_and_quiet_and_what_prints_has_neither(name):
         ("--quiet", "Print errors only."),
     ):
         if (name, option) == ("choose", "--quiet"):  # of its progress: it writes nothing
-            assert known[option].help == "No progress."
+            assert known[option].help == "Do not print the progress."
             continue
         assert (option in known) == writes
         assert not writes or known[option].help == text
@@ -183,7 +183,7 @@ def test_an_old_form_beside_the_new_one_is_refused(name, old, new, capsys):
     assert main([name, *before, *after, *required(name, old, new)]) == 2
     said = capsys.readouterr().err.splitlines()[-1]
     # An option that is an argument now is one word too many.
-    expected = "is given, too: leave one out" if "--" in new else "unexpected extra argument"
+    expected = "is also given: omit one of them" if "--" in new else "unexpected extra argument"
     assert expected in said
 
 
@@ -195,7 +195,7 @@ def test_words_behind_two_dashes_and_too_many(capsys):
     assert main(["check", "a.csv", "b.csv"]) == 2
     assert "unexpected extra argument(s) (b.csv)" in capsys.readouterr().err
     assert main(["check", "a.csv", "--data", "b.csv"]) == 2
-    assert "and --data is given, too: leave one out" in capsys.readouterr().err
+    assert "but --data is also given: omit one of them" in capsys.readouterr().err
     assert main(["suspects", "a", "--most"]) == 2
     assert "option '--rows' requires an argument" in capsys.readouterr().err.lower()
     assert main(["report", "a", "--out"]) == 2

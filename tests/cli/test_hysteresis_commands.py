@@ -120,9 +120,9 @@ def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
     refused(
         capsys,
         [*model, "--target", far, *out],
-        "is 85 deg in sample 3, beyond the reachable range from",
+        "is 85 deg in sample 3, outside the reachable range of",
     )
-    refused(capsys, ["compensate", "--loop", loops, "--target", far, *out], "beyond the reachable")
+    refused(capsys, ["compensate", "--loop", loops, "--target", far, *out], "outside the reachable")
     refused(capsys, ["compensate", "--target", good, *out], "give either a fit, or --loop")
     refused(
         capsys,
@@ -132,13 +132,17 @@ def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
     lone = tmp_path / "lone.csv"
     lone.write_text("time_s,command_deg\n0,0\n1,1\n2,2\n")
     nothing = ["compensate", "--loop", loops, "--travel", "3", "--target", str(lone), *out]
-    refused(capsys, nothing, "has 0 columns of output or angle")
+    refused(capsys, nothing, "has 0 output or angle columns")
     unordered = tmp_path / "unordered.csv"
     unordered.write_text("time_s,angle_deg\n0,0\n2,1\n1,2\n")
     refused(capsys, [*model, "--target", str(unordered), *out], "must strictly increase")
     gap = tmp_path / "gap.csv"
     gap.write_text("time_s,angle_deg\n0,0\n1,\n2,2\n")
-    refused(capsys, [*model, "--target", str(gap), *out], "sample 2 of 'gap' has no target angle")
+    refused(
+        capsys,
+        [*model, "--target", str(gap), *out],
+        "sample 2 of 'gap' has no target value for angle",
+    )
     short = tmp_path / "short.csv"
     short.write_text("time_s,command_deg,angle_deg\n0,0,0\n1,9,5\n2,0,3\n")
     refused(capsys, ["fit", "--data", str(short)], "3 measured values cannot determine")

@@ -38,7 +38,10 @@ def test_a_neck_of_the_help_is_drawn_and_one_that_muscles_crush_is_refused(tmp_p
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["neck.length=0.03"], "--set neck.length: the joint has no neck; set neck.radius, too"),
+        (
+            ["neck.length=0.03"],
+            "neck.length has no effect on a joint without a neck: also set neck.radius",
+        ),
         (["neck.radius=0.06", "neck.length=0"], "neck.length is 0: make it positive"),
     ],
 )

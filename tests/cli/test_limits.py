@@ -184,7 +184,7 @@ def test_a_broken_link_is_no_missing_sidecar(tmp_path, capsys):
 def test_a_definition_cannot_name_what_no_file_is_called(tmp_path, capsys):
     definition = tmp_path / "fit.toml"
     definition.write_text('[fit]\ndata = ["a\\u0000.csv"]')
-    assert "character that no path may have" in refused(capsys, "fit", definition)
+    assert "character that is not allowed in a path" in refused(capsys, "fit", definition)
     definition.write_text("[fit]\nstarts = 1000000000")
     assert "fit.starts" in refused(capsys, "fit", definition)
 
@@ -224,7 +224,7 @@ def test_nothing_is_written_through_a_link(tmp_path, monkeypatch):
     for name, to in (("pipe", None), ("device", "/dev/full")):
         place = tmp_path / f"{name}.csv"
         os.mkfifo(place) if to is None else place.symlink_to(to)
-        with pytest.raises(InputError, match=f"is a {name}, where no file is written"):
+        with pytest.raises(InputError, match=f"is a {name}, which is not overwritten"):
             write_files({place: b"new"}, force=True)
         assert place.is_fifo() or place.is_char_device()
 

@@ -197,7 +197,7 @@ def test_a_small_disk_loses_no_number(small_disk, plain, room):
 def test_a_budget_ends_with_the_best_so_far(folder, plain):
     status, out, _ = ended(process(*FIT, "--budget", "1.2s", seconds=0.4))
     assert status == 1
-    assert "NOT CONVERGED: the budget of 1.2 s ended the fit after" in out
+    assert "NOT CONVERGED: the time budget of 1.2 s was exhausted after" in out
     assert "giajax fit --resume out" in out
     result = load_result("out")
     assert result.iterations < plain["iterations"]
@@ -213,7 +213,7 @@ def test_a_budget_in_a_definition(folder, capsys):
     path = folder / "loops_fit.toml"
     path.write_text(path.read_text().replace("[fit]", '[fit]\nbudget = "0s"'))
     assert main([*FIT]) == 1
-    assert "the budget of 0 s ended the fit after 0 iterations" in capsys.readouterr().out
+    assert "the time budget of 0 s was exhausted after 0 iterations" in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -238,8 +238,8 @@ WRONG = {
     "no result": (["--again", "nowhere"], "does not exist: give"),
     "no beginning": (["--data", "loops.csv", "--from", "nowhere"], "does not exist: give"),
     "no unit": (["loops_fit.toml", "--budget", "10"], 'such as "90s", "10m" or "2h"'),
-    "again and data": (["--again", "out", "--data", "loops.csv"], "leave out the others"),
-    "again and resume": (["--again", "out", "--resume", "out"], "leave out the others"),
+    "again and data": (["--again", "out", "--data", "loops.csv"], "omit the other options"),
+    "again and resume": (["--again", "out", "--resume", "out"], "omit the other options"),
     "a journal of words": (["--resume", "words"], "is damaged in line 1, or is not a journal"),
 }
 
@@ -271,13 +271,13 @@ def test_the_time_left_is_said_as_far_as_it_is_known(monkeypatch):
     assert told(TimeLeft(50), 0.2, range(20)) == []
     sentences = told(TimeLeft(50), 10.0, range(12))
     assert len(sentences) == 2
-    assert sentences[0] == ("at most 8 min left: 48 steps of 10 s, of which most fits need few")
+    assert sentences[0] == ("at most 8 min left: 48 steps of 10 s; most fits need far fewer steps")
     (sentence,) = told(TimeLeft(50, budget_s=100.0), 10.0, range(5))
-    assert sentence == "at most 1.2 min left: then its budget ends the fit"
+    assert sentence == "at most 1.2 min left until the budget ends the fit"
     several = TimeLeft(50, starts=8)
     several.start()
     told(several, 10.0, range(10))
     several.start()
     (sentence, *_) = told(several, 10.0, range(8))
     assert sentence.startswith("about ")
-    assert sentence.endswith("left for the starts up to 8, at the pace of those before")
+    assert sentence.endswith("left for the starts up to 8, estimated from the previous starts")

@@ -31,7 +31,9 @@ def test_a_mission_and_many(tmp_path, capsys):
     printed = capsys.readouterr().out
     fitted = read_run(out / "run.csv").definition.section(ArmSection).values()
     assert fitted["contact.friction"] not in (None, 0.3)
-    assert "not inside after 60 s in air of 0.2 m/s: the opening never came" in printed
+    assert (
+        "the tip is not inside after 60 s in a wind of 0.2 m/s: the opening never came" in printed
+    )
     facts = json.loads((out / "mission.json").read_text(encoding="utf-8"))
     assert facts["reached_s"] is None
     assert facts["ended_s"] == 60.0

@@ -37,7 +37,7 @@ def test_it_writes_what_it_found_beside_the_result(fit, capsys):
         one, linear = known["parameters"][path], result["parameters"][path]["interval"]
         assert one["linear"] == pytest.approx(linear)
         assert linear[0] < one["mean"] < linear[1]
-    assert any("take more draws" in sentence for sentence in known["warnings"])
+    assert any("use more draws" in sentence for sentence in known["warnings"])
     for name in ("posterior.png", "posterior_bands.png", "posterior_bands.csv"):
         assert (fit / name).stat().st_size > 1000
     assert main(["posterior", str(fit), "--chains", "2", *FEW]) == 2

@@ -85,10 +85,7 @@ def test_progress_in_80_columns_cuts_no_name(paths, shown, capsys, monkeypatch):
     assert max(map(len, lines)) <= 80
     *head, row = lines
     if shown < len(paths):
-        assert (
-            head.pop()
-            == f"(and {len(paths) - shown} parameters for which the terminal is too narrow)"
-        )
+        assert head.pop() == f"({len(paths) - shown} more parameters do not fit into the terminal)"
     assert len(row.split()) == 2 + shown
     ends = [match.end() for match in re.finditer(r"\S+", row)][2:]
     for path, (start, end) in zip(paths, zip([34, *ends], ends, strict=False), strict=False):

@@ -72,4 +72,6 @@ def test_what_would_neither_print_nor_write_says_so(folder, monkeypatch, capsys,
     assert main([*words.split(), "--quiet"]) == 2
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err.startswith("giajax: --quiet prints no table and no file is written: add --")
+    assert said.err.startswith(
+        "giajax: --quiet suppresses all tables, and no output file is given: add --"
+    )

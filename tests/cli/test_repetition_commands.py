@@ -72,7 +72,7 @@ def test_a_self_test_is_written_beside_the_result_or_says_why_not(
     assert "3 of 3 fits converged (100 %)" in capsys.readouterr().out
     stopped = dataclasses.replace(result, status="not_converged")
     assert _bootstrap.self_test(stopped, [run], tmp_path, shown=False) == []
-    assert "no self-test: the fit did not converge" in capsys.readouterr().err
+    assert "the self-test is omitted: the fit did not converge" in capsys.readouterr().err
 
 
 @pytest.mark.quick

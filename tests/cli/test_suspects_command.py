@@ -32,7 +32,7 @@ def test_tables_of_suspects_systematic_errors_and_the_ladder(folder, capsys):
     assert main(["suspects", str(folder / "fit"), *options]) == 0
     printed = capsys.readouterr()
     lines = printed.out.splitlines()
-    assert lines[0].split()[:3] == ["suspect", "held", "at"]
+    assert lines[0].split()[:3] == ["suspect", "fixed", "value"]
     path, held, estimate = lines[1].split()[:3]
     assert (path, held) == ("muscle.end_correction", "1.5")
     assert float(estimate) == pytest.approx(1.7, abs=0.02)
@@ -95,7 +95,7 @@ def test_a_run_that_has_moved_or_changed(folder, tmp_path, capsys):
         (["none"], "does not exist"),
         (["{fit}", "--validation", "x.csv"], "add --ladder"),
         (["{fit}", "--tries", "3"], "add --ladder"),
-        (["{fit}", "--each", "muscle.diameter"], "has no elements to test one by one"),
+        (["{fit}", "--each", "muscle.diameter"], "has no elements that can be tested one by one"),
         (["{fit}", "--uncertainty", "muscle.diameter"], "must be PATH=VALUE"),
         (["{fit}", "--uncertainty", "muscle.diameter=0"], "is not positive: give"),
     ],
@@ -120,10 +120,10 @@ def test_a_changed_file_is_refused(folder, tmp_path, capsys):
         "\n".join(line for line in sidecar if not line.startswith("sha256")) + "\n"
     )
     assert main(["suspects", str(moved / "fit")]) == 2
-    assert "its content has changed" in capsys.readouterr().err
+    assert "has changed since the fit: " in capsys.readouterr().err
     (moved / "muscle.csv").unlink()
     assert main(["suspects", str(moved / "fit")]) == 2
-    assert "give the file with --data" in capsys.readouterr().err
+    assert "give its new path with --data" in capsys.readouterr().err
 
 
 def test_a_fit_states_an_uncertainty(folder, tmp_path, capsys):

@@ -83,7 +83,7 @@ def test_what_is_too_weak_is_said(tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["unroll", str(tmp_path / "weak.toml"), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "not unrolled after 360 min, at " in printed
+    assert "not fully unrolled after 360 min (unrolled length " in printed
     assert "the hand is too weak" in printed
     assert {path.suffix for path in out.iterdir()} == {".json", ".csv", ".png"}
     assert len(list(out.iterdir())) == 3
@@ -98,9 +98,12 @@ BAD = {
     "no order": ('order = "both"', 'must be "roll first" or "by gas"'),
     "no hand": ('hand = "foot"', 'must be "speed" or "force"'),
     "no yes": ("carried = 1", "must be true or false"),
-    "a small roll": ("roll_radius_mm = 40.0", "the roll has a radius of 40 mm and its core one of"),
+    "a small roll": (
+        "roll_radius_mm = 40.0",
+        "the radius of the roll is 40 mm, and the radius of its core",
+    ),
     "thick film": ("film_thickness_mm = 2.0", "a layer of the roll is 1.19 mm thick, but two film"),
-    "paid out": ("start_length_m = 30.0", "30 m are paid out at the beginning, but the arm has"),
+    "paid out": ("start_length_m = 30.0", "30 m are paid out at the start, but the arm is only"),
 }
 
 
@@ -116,6 +119,8 @@ def test_bad_options_are_one_sentence(tmp_path, capsys):
     refused(capsys, [tmp_path / "none.toml"], "does not exist: give the path of a TOML file")
     refused(capsys, ["--set", "roll.radios=1"], "there is no parameter 'roll.radios'")
     refused(capsys, ["--set", "film.peel=-1"], "film.peel = -1 N is outside its bounds")
-    refused(capsys, ["--by-gas", "--set", "supply.flow=0"], "gas is to unroll the arm, but supply")
+    refused(
+        capsys, ["--by-gas", "--set", "supply.flow=0"], "gas is to unroll the arm, but with supply"
+    )
     (tmp_path / "file").write_text("")
     refused(capsys, ["--out", tmp_path / "file"], "is a file")

@@ -80,7 +80,7 @@ def test_where_most_cells_are_far_off_they_are_no_outliers():
     free = ["amplitude", "decay", "offset", "idle"]
     for values, said in (
         (waves, "first find out why"),
-        (recorded.values["tip_z"], "leave it fixed"),
+        (recorded.values["tip_z"], "fix it, give it a prior"),
     ):
         again = replace(recorded, values={"tip_z": values})
         result = fit(Decay(), again, free=free, loss="student_t", max_iterations=20)
@@ -210,7 +210,7 @@ def test_curvature_is_that_of_the_cost():
 def test_short_records_are_named():
     (finding,) = _findings._short([("a", 8.0), ("b", 25.0)])
     assert finding.code == "short_record"
-    assert finding.sentence == "'a' is 8 correlation times of its noise long"
+    assert finding.sentence == "the record 'a' lasts only 8 correlation times of its noise"
 
 
 def test_states_of_single_runs_take_part():

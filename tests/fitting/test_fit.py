@@ -315,7 +315,10 @@ def test_what_is_fixed_does_not_move():
         ({"start": {"decay": 10.0}}, "between 0 and 9"),
         ({"start": {"decay": 0.0}}, "strictly between"),
         ({"fix": {"decay": -1.0}}, "outside its bounds"),
-        ({"start": {"decay": 1.0}, "fix": {"decay": 1.0}}, "a start and a fixed value"),
+        (
+            {"start": {"decay": 1.0}, "fix": {"decay": 1.0}},
+            "both an initial value and a fixed value",
+        ),
         ({"free": ["decay"], "fix": {"decay": 1.0}}, "both free and fixed"),
         ({"free": []}, "no parameter is free"),
         ({"loss": "l2"}, "fit.loss = 'l2' must be .*soft_l1"),

@@ -163,7 +163,7 @@ def test_a_prior_and_bounds_hold_for_each_value():
     for record in result.runs:
         own = record.parameters["offset"]
         assert own.value == pytest.approx(0.35, abs=1e-3)
-        assert own.remark.startswith("its value is mainly that of its prior")
+        assert own.remark.startswith("its value comes mainly from its prior")
 
 
 def test_bounds_of_a_fit_hold():
@@ -184,24 +184,27 @@ def test_bounds_of_a_fit_hold():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"bounds": {"decay": (0.0, 10.0)}}, "the bounds 0 and 10 of 'decay' are not within"),
+        ({"bounds": {"decay": (0.0, 10.0)}}, "the bounds 0 and 10 of 'decay' exceed its permitted"),
         ({"bounds": {"decay": (2.0, 1.0)}}, "must be two numbers, the lower one first"),
         ({"bounds": {"decay": (1.0,)}}, "must be a list of two numbers"),
         ({"bounds": {"decay": (2.0, 3.0)}}, "decay = 1 1/s is outside its bounds: choose"),
-        ({"bounds": {"idle": (2.0, 3.0)}}, "'idle' has bounds and is not free: free it"),
+        ({"bounds": {"idle": (2.0, 3.0)}}, "'idle' has bounds but is not free: free it"),
         ({"bounds": {"ilde": (2.0, 3.0)}}, "no parameter 'ilde': did you mean 'idle'?"),
         ({"per_run": ["ilde"]}, "no parameter 'ilde': did you mean 'idle'?"),
         (
             {"per_run": ["offset"], "groups": {"offset": []}},
-            "'offset' has a value for each run and",
+            "'offset' is estimated both per run and per group",
         ),
-        ({"groups": {"offset": [["run0", "run1"]]}}, "run 'run2' is in no group of 'offset': put"),
+        (
+            {"groups": {"offset": [["run0", "run1"]]}},
+            "run 'run2' is in no group of 'offset': assign",
+        ),
         ({"groups": {"offset": [["run0", "run1"], ["run2", "run0"]]}}, "'run0' is in several"),
-        ({"groups": {"offset": [["run0", "runn1"], ["run2"]]}}, "'runn1', which is no run: did"),
+        ({"groups": {"offset": [["run0", "runn1"], ["run2"]]}}, "'runn1', which is not a run: did"),
         ({"per_run": ["offset"], "fix": {"offset": 0.1}}, "'offset' is both free and fixed"),
         (
             {"per_run": ["offset"], "ties": {"offset": "twin"}},
-            "'offset' is tied to others and free",
+            "'offset' is tied to other parameters and also free",
         ),
     ],
 )

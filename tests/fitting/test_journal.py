@@ -144,7 +144,7 @@ def test_a_damaged_journal_is_one_sentence(tmp_path, change, sentence):
 
 def test_the_journal_of_another_fit_is_one_sentence(tmp_path):
     journalled(tmp_path, set_up(Decay(), run(), start=START), max_iterations=2)
-    with pytest.raises(InputError, match="not that of this fit"):
+    with pytest.raises(InputError, match="belongs to another fit"):
         journalled(tmp_path, set_up(Decay(), run(), start=START, free=["decay"]))
 
 
@@ -217,7 +217,7 @@ def test_a_budget_ends_a_fit_with_the_best_so_far(tmp_path):
     plain = numbers(solve(setup))
     result = journalled(tmp_path, setup, budget=Budget(1e-9))
     assert result.status == "not_converged"
-    assert result.message.startswith("the budget of 1e-09 s ended the fit after 0 iterations")
+    assert result.message.startswith("the time budget of 1e-09 s was exhausted after 0 iterations")
     assert result.gradient_check is None
     assert result.config["budget_s"] == 1e-9
     # With more time it goes on to where it would have ended.
@@ -239,7 +239,7 @@ def test_a_budget_ends_before_a_step_that_it_has_no_time_for(monkeypatch):
     monkeypatch.setattr(_loop, "trial", timed)
     result = solve(set_up(Decay(), run(), start=START), budget=Budget(7.0))
     assert result.iterations == 3
-    assert "the budget of 7 s ended the fit after 3 iterations" in result.message
+    assert "the time budget of 7 s was exhausted after 3 iterations" in result.message
 
 
 @pytest.mark.parametrize("ended_at", [2, 3])
@@ -256,7 +256,7 @@ def test_a_budget_ends_several_starts(monkeypatch, ended_at):
     result = multi_start(Decay(), run(), starts=4, start=START, budget=5.0, announce=announce)
     assert begun == list(range(1, ended_at + 1))
     assert result.status == "not_converged"
-    assert f"the budget of 5 s ended the fit after {ended_at} of 4 starts" in result.message
+    assert f"the time budget of 5 s was exhausted after {ended_at} of 4 starts" in result.message
     assert [start.status for start in result.starts] == ["converged"] * (ended_at - 1) + [
         "not_converged"
     ]

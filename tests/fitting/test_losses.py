@@ -229,9 +229,11 @@ def test_parameters_are_numbers_of_python_or_numpy_and_keep_their_type():
     assert type(loss_of({"name": "Powers", "terms": 3}).terms) is int
     check_loss(Powers(terms=3))
     for wrong in (StudentT(jnp.asarray(3.0)), Cauchy(jnp.asarray(3.0))):
-        with pytest.raises(InputError, match="which no file can state: give a finite number"):
+        with pytest.raises(
+            InputError, match="which cannot be stored in a file: give a finite number"
+        ):
             check_loss(wrong)
-    with pytest.raises(InputError, match=r"StudentT.* is not a loss: give an object"):
+    with pytest.raises(InputError, match=r"StudentT.* is not a loss: give an instance"):
         check_loss(StudentT)
 
 
@@ -241,13 +243,16 @@ def test_parameters_are_numbers_of_python_or_numpy_and_keep_their_type():
         ("cauchy", "fit.loss = 'cauchy' must be \"linear\", .*: correct it, or give --plugin"),
         (3, "fit.loss = 3 must be"),
         ({"degrees_of_freedom": 3}, "fit.loss = .* must be"),
-        (Local(), "the loss Local is not registered, and a result could not name it"),
+        (Local(), "the loss Local is not registered, so a result cannot refer to it"),
         (StudentT, r"fit.loss = .*StudentT.* must be \"linear\""),
-        (Named(), "the loss Named has a parameter called name, as files call the loss itself"),
-        ({"name": "student_t", "degrees_of_freedom": "3"}, "the loss student_t cannot be made"),
-        (Listed(), r"the loss Listed has width = \(1.0, 2.0\), which no file can state"),
-        ({"name": "student_t", "nu": 3}, r"the loss student_t cannot be made \(.*'nu'\): give num"),
-        ({"name": "huber", "k": "wide"}, "the loss huber cannot be made"),
+        (Named(), "the loss Named has a parameter called 'name', which files reserve"),
+        ({"name": "student_t", "degrees_of_freedom": "3"}, "the loss student_t cannot be created"),
+        (Listed(), r"the loss Listed has width = \(1.0, 2.0\), which cannot be stored in a file"),
+        (
+            {"name": "student_t", "nu": 3},
+            r"the loss student_t cannot be created \(.*'nu'\): give num",
+        ),
+        ({"name": "huber", "k": "wide"}, "the loss huber cannot be created"),
         ({"name": "student_t", "degrees_of_freedom": -1}, "student_t has -1 degrees of freedom"),
     ],
 )
@@ -257,22 +262,25 @@ def test_what_names_no_loss_is_refused(said, sentence):
 
 
 CASES = {
-    "Shapeless": (lambda r: jnp.sum(r**2), r"returns the shape \(\) for residuals of shape"),
+    "Shapeless": (
+        lambda r: jnp.sum(r**2),
+        r"returns an array of shape \(\) for residuals of shape",
+    ),
     "Broken": (lambda r: r.square, r"fails \(AttributeError: .*square"),
     "Negative": (lambda r: jnp.where(r > 3, -1.0, r**2), "is negative at r = 3"),
-    "Uneven": (lambda r: jnp.where(r > 2, r, r**2), "differs from what it is at -r at r = 2"),
-    "Double": (lambda r: 2 * jnp.log1p(r**2), r"begins as 0 \+ 2 r\^2, but must begin as r"),
-    "Lifted": (lambda r: 1 + r**2, r"begins as 1 \+ 1 r\^2"),
+    "Uneven": (lambda r: jnp.where(r > 2, r, r**2), "differs from its value at -r at r = 2"),
+    "Double": (lambda r: 2 * jnp.log1p(r**2), r"is 0 \+ 2 r\^2 near r = 0, but must be r"),
+    "Lifted": (lambda r: 1 + r**2, r"is 1 \+ 1 r\^2 near"),
     "Rooted": (lambda r: jnp.abs(r) * jnp.sqrt(r**2), "has a derivative that is not finite at"),
     "Missing": (lambda r: jnp.where(r > 9, jnp.nan, r**2), "has a value that is not finite at"),
     "Jumping": (lambda r: jnp.where(jnp.abs(r) < 3, 1, 3) * r**2, "is not the integral of its"),
-    "Steep": (lambda r: r**2 + 100 * jnp.abs(r) ** 3, r"is no longer r\^2 at r = 0.001"),
-    "Halved": (lambda r: r.astype(jnp.float32) ** 2, "returns float32 for float64"),
+    "Steep": (lambda r: r**2 + 100 * jnp.abs(r) ** 3, r"deviates from r\^2 near 0 at r = 0.001"),
+    "Halved": (lambda r: r.astype(jnp.float32) ** 2, "returns float32 for residuals of float64"),
     "Together": (
         lambda r: jnp.log1p((r / (s := jnp.maximum(jnp.median(jnp.abs(r)), 1.0))) ** 2) * s**2,
         "depends on the other residuals at r",
     ),
-    "Falling": (lambda r: r**2 * jnp.exp(-(r**2) / 9), "falls for larger residuals at r = 3"),
+    "Falling": (lambda r: r**2 * jnp.exp(-(r**2) / 9), "decreases for larger residuals at r = 3"),
 }
 
 
@@ -296,7 +304,7 @@ def test_only_rho_is_a_losss_own():
         is_linear = True
 
     for wrong, name in ((Derived(), "transform"), (Claiming(), "is_linear")):
-        with pytest.raises(InputError, match=f"defines {name}, which follows from rho"):
+        with pytest.raises(InputError, match=f"defines {name}, which is derived from rho"):
             check_loss(wrong)
     assert not Derived().is_linear
 
@@ -355,7 +363,7 @@ def test_each_loss_weighs_outliers_among_correlated_noise():
 
 
 def test_a_loss_without_its_method_is_refused_by_its_name():
-    with pytest.raises(InputError, match="Unfinished has no rho: write it"):
+    with pytest.raises(InputError, match="Unfinished lacks rho: implement it"):
 
         @giajax.register
         class Unfinished(AbstractLoss):

@@ -102,11 +102,11 @@ def test_an_array_is_off_as_a_whole_or_element_by_element(recorded):
     ("uncertainty", "sentence"),
     [
         ({"camera.dealy": 0.1}, "camera.delay"),
-        ({"links.mass": [0.1, 0.1]}, "has 2 values, and it has 4"),
+        ({"links.mass": [0.1, 0.1]}, "states 2 values for links.mass, which has 4"),
         ({"camera.delay": -0.1}, r"'camera.delay' must be a standard deviation"),
         ({"camera.delay": "late"}, r"'camera.delay' must be a standard deviation"),
         ({"links.mass": 0.1, "links.mass[1]": 0.2}, "state a list for all"),
-        ({"joints.friction": 0.01}, "leaves out: state its value, too"),
+        ({"joints.friction": 0.01}, "omits: state its value, too"),
         ({"defaults": "no"}, "must be true or false"),
     ],
 )
@@ -118,7 +118,7 @@ def test_what_is_wrong_is_refused(recorded, uncertainty, sentence):
 def test_runs_must_agree(recorded):
     one, other = (stating(recorded, {"camera.delay": size}) for size in (0.01, 0.02))
     other = dataclasses.replace(other, name="other", sha256=None)
-    with pytest.raises(InputError, match=r"different \[uncertainty\] of camera.delay"):
+    with pytest.raises(InputError, match=r"different values of \[uncertainty\] for camera.delay"):
         set_up(model_for([one]), [one, other])
 
 
@@ -202,7 +202,7 @@ def test_a_late_camera_moves_no_drag_coefficient():
         one = free.parameters[name]
         assert one.noise_error == pytest.approx(alone.parameters[name].standard_error, rel=0.02)
         assert one.nuisance_error**2 + one.noise_error**2 == pytest.approx(one.standard_error**2)
-    assert "by nuisance parameters" in free.parameters[path].remark
+    assert "from nuisance parameters" in free.parameters[path].remark
     shown = list(free.shown)
     assert shown[-4:] == list(USUAL)
     assert "links.diameter" not in shown

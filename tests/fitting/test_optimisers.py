@@ -124,7 +124,7 @@ def test_what_cannot_be_journalled_or_sent_to_workers_says_so(tmp_path):
     recording, optimiser, steps = run(), optx.Dogleg(**FINE), []
     with (
         concurrent.futures.ThreadPoolExecutor(1) as executor,
-        pytest.raises(InputError, match="workers fit by giajax's own optimiser alone: leave out"),
+        pytest.raises(InputError, match="support only giajax's own optimiser: omit"),
     ):
         giajax.multi_start(
             Decay(), recording, start=START, starts=3, optimiser=optimiser, executor=executor,

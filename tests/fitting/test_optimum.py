@@ -92,7 +92,9 @@ def test_at_other_values_the_jacobian_is_that_of_the_residual(optimum):
 def test_what_cannot_be_is_refused(optimum):
     with pytest.raises(InputError, match="'idle' was not free in this fit"):
         optimum.refit(held={"idle": 1.0})
-    with pytest.raises(InputError, match="decay cannot be held at 10, beyond its bounds"):
+    with pytest.raises(
+        InputError, match="decay cannot be fixed at 10, which is outside its bounds"
+    ):
         optimum.refit(held={"decay": 10.0})
 
 

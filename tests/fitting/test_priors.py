@@ -129,7 +129,7 @@ def test_what_no_channel_responds_to_is_as_known_as_before(loss):
         assert idle.value == pytest.approx(3.0, abs=0.005)
         assert idle.standard_error == pytest.approx(0.5, rel=1e-3)
         assert idle.prior_share == pytest.approx(1.0, rel=1e-3)
-        assert idle.remark.startswith("its value is mainly that of its prior (100%")
+        assert idle.remark.startswith("its value comes mainly from its prior (100%")
         assert result.parameters["amplitude"].remark == ""
 
 
@@ -167,7 +167,7 @@ def test_the_states_of_single_runs_may_have_priors():
         for path in ("height", "drift[1]"):
             assert before.parameters[path].standard_error > 1e-3
             assert after.parameters[path].standard_error == pytest.approx(1e-4, rel=0.02)
-        assert after.parameters["height"].remark.startswith("its value is mainly that of its prior")
+        assert after.parameters["height"].remark.startswith("its value comes mainly from its prior")
         assert after.parameters["drift[0]"].standard_error > 1e-3
 
 

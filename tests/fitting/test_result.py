@@ -32,7 +32,7 @@ def test_a_result_of_an_earlier_version_is_read(earlier):
     assert earlier.tolerance_effect.by_parameter["elastic"] == Shift(0.0, 0.0)
     assert earlier.correlation.parameters == ("elastic", "weights[0]", "offset")
     assert earlier.history[-1].number == earlier.iterations
-    assert "2 of 2 ended here" in summary(earlier)
+    assert "2 of 2 ended at this optimum" in summary(earlier)
 
 
 def test_it_predicts_as_it_did(earlier):

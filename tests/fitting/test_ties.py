@@ -156,10 +156,16 @@ def test_a_step_that_leads_a_tied_parameter_beyond_its_bounds_is_rejected():
         ({"ties": {"decoy": "2 * decay"}}, "no parameter 'decoy': did you mean 'decay'?"),
         ({"ties": {"decay": "2 *"}}, "ties is not valid for decay, because the expression"),
         ({"ties": {"decay": "2"}}, "contains no parameter: include a parameter"),
-        ({"ties": {"decay": "decay"}}, "the ties of 'decay' follow from themselves: tie"),
-        ({"ties": {"decay": "twin", "twin": "decay"}}, "'decay' and 'twin' follow from themselves"),
-        ({"ties": {"decay": "twin"}, "free": ["decay"]}, "'decay' is tied to others and free: "),
-        ({"ties": {"decay": "twin"}, "fix": {"decay": 1}}, "'decay' is tied to others and fixed"),
+        ({"ties": {"decay": "decay"}}, "the ties of 'decay' are circular: tie"),
+        ({"ties": {"decay": "twin", "twin": "decay"}}, "'decay' and 'twin' are circular"),
+        (
+            {"ties": {"decay": "twin"}, "free": ["decay"]},
+            "'decay' is tied to other parameters and also free: ",
+        ),
+        (
+            {"ties": {"decay": "twin"}, "fix": {"decay": 1}},
+            "'decay' is tied to other parameters and also fixed",
+        ),
         ({"ties": {"decay": "twin"}, "start": {"decay": 1}}, "'decay' is tied .* given a start"),
         ({"ties": {"decay": "10 * twin"}}, "decay = 10 1/s is outside its bounds"),
         ({"ties": {"decay": "log(0 - twin)"}}, "decay = nan 1/s is outside its bounds"),
@@ -172,9 +178,11 @@ def test_a_tie_that_cannot_be_is_refused(options, sentence):
 
 def test_a_tie_of_another_number_of_values_is_refused():
     model = ArmModel(takeichi_20m(4))
-    with pytest.raises(InputError, match=r"has 1 element, comes to 4 values: tie it to one value"):
+    with pytest.raises(
+        InputError, match=r"has 1 element, but .* has 4 values: tie it to one value"
+    ):
         tied(model, resolved_ties(model, {"air.density": "links.mass"}))
-    with pytest.raises(InputError, match=r"'links.mass\[1\]' is tied by 'links.mass' and by"):
+    with pytest.raises(InputError, match=r"'links.mass\[1\]' is tied by both 'links.mass' and"):
         resolved_ties(model, {"links.mass": "links.mass[0]", "links.mass[1]": "air.density"})
 
 

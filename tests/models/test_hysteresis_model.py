@@ -348,7 +348,7 @@ def test_commands_that_do_not_exist_are_refused():
     wanted = Run.from_arrays(
         np.arange(3.0), {"angle": np.asarray([0.0, 0.1, 0.3])}, definition={"model": "hysteresis"}
     )
-    with pytest.raises(InputError, match=r"in sample 3: fit another operator"):
+    with pytest.raises(InputError, match=r"in sample 3: fit a different operator"):
         compensator.commands_for(wanted)
 
 
@@ -364,10 +364,14 @@ def test_other_quantities_are_refused(tmp_path):
     rows = "\n".join(f"{u},{0.5 * u + 0.1 * (u > 3)}" for u in up)
     loop = of_columns(tmp_path, f"command_deg,output_mm\n{rows}\n")
     wanted = run_of(np.zeros(3))
-    with pytest.raises(InputError, match="is angle_rad, but what is inverted gives output_mm"):
+    with pytest.raises(
+        InputError, match="is angle_rad, but the output of the inverted model is output_mm"
+    ):
         compensator_for_loop(loop).commands_for(wanted)
     model = model_for([loop])
-    with pytest.raises(InputError, match="is angle_rad, but what is inverted gives output_mm"):
+    with pytest.raises(
+        InputError, match="is angle_rad, but the output of the inverted model is output_mm"
+    ):
         compensator_for_model(model).commands_for(wanted)
     other = of_columns(tmp_path, f"input_kPa,output_mm\n{rows}\n", "other")
     with pytest.raises(InputError, match="column input_kPa, but the model uses command_deg"):

@@ -358,7 +358,7 @@ def test_a_sensor_with_a_delay_shows_what_was_so_much_earlier():
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        (gauge(values=AbstractSensor.values), "Gauge has no values: write it"),
+        (gauge(values=AbstractSensor.values), "Gauge lacks values: implement it"),
         (gauge(channel=None), r"Gauge.channel is None: make it a giajax.schema.ChannelKind"),
         (gauge(row=("gauge", "gaugeNN", "ratio", "input")), "ChannelKind with the part .output."),
         (

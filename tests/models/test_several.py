@@ -163,7 +163,7 @@ def test_what_one_recording_determines_has_no_sources(runs):
 
 
 def test_runs_without_a_common_parameter_are_refused(runs):
-    with pytest.raises(InputError, match="no parameter that is free belongs to more than one"):
+    with pytest.raises(InputError, match="no free parameter is shared by"):
         set_up(SeveralModels((Wave(), Line())), runs, free=["offset", "drift"])
     set_up(SeveralModels((Wave(), Line())), runs, free=["drift"], ties={"offset": "2 * drift"})
 
@@ -293,7 +293,9 @@ def test_what_sidecars_state_of_a_shared_parameter_must_agree():
 
 
 def test_values_for_single_runs_are_for_runs_of_one_model(files):
-    with pytest.raises(InputError, match="has values for single runs, and the runs are of several"):
+    with pytest.raises(
+        InputError, match="has values for individual runs, but the runs use several"
+    ):
         task(files).on_top(per_run=["camera.delay"]).prepare()
 
 

@@ -158,7 +158,7 @@ def test_what_the_model_lacks_is_found(noise):
     assert reason.channels == ("link01_z",)
     assert reason.size > 3
     assert reason.p_value < 1e-6
-    assert f"{reason.size:.3g} times as far off as noise" in reason.sentence
+    assert f"{reason.size:.3g} times those expected from noise" in reason.sentence
     assert test.of(0, "link01_z").size == pytest.approx(reason.size, rel=0.5)
     assert test.of(0, "link00_z").size < 1.5
 

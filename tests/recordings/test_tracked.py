@@ -215,7 +215,10 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
         (["--frame-rate", "50", "--point", "elbow"], "--point 'elbow' must be OLD=NEW"),
         (["--frame-rate", "0", "--point", "elbow=tip"], "the rate is 0"),
         (["--origin", "5", "--point", "elbow=tip"], "give two numbers"),
-        (["--frame-rate", "50", "--point", "elbow=tip", "--likelihood", "1"], "no row in which"),
+        (
+            ["--frame-rate", "50", "--point", "elbow=tip", "--likelihood", "1"],
+            "not found in any row",
+        ),
         (
             ["--frame-rate", "50", "--likelihood", "60"],
             "the likelihood is 60: give a number from 0 to 1",

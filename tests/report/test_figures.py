@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from giajax import InputError
 from giajax.fitting import ChannelFit, Correlation, RunFit, parse_result
 from giajax.models import model_for
-from giajax.recordings import Run
+from giajax.recordings import Run, write_files
 from giajax.report import (
     correlation_figure,
     new_figure,
@@ -74,9 +74,9 @@ def test_a_fit_is_drawn_from_its_result_and_its_run(result, run):
     with pytest.raises(InputError, match=r"its data have changed since the fit.*predict"):
         plot(result, dataclasses.replace(run, name="another"))
     twice = dataclasses.replace(result, runs=result.runs * 2)
-    with pytest.raises(InputError, match="several of that name"):
+    with pytest.raises(InputError, match="several fitted runs have this name"):
         plot(twice, run)
-    with pytest.raises(InputError, match="2 runs were fitted: say which"):
+    with pytest.raises(InputError, match="2 runs were fitted: state which"):
         twice.plot()
     unfiled = dataclasses.replace(result.runs[0], path=None, sha256=None)
     with pytest.raises(InputError, match=r"was made in memory .* result\.plot\(run\)"):
@@ -276,6 +276,22 @@ def test_a_figure_is_the_same_file_each_time_in_all_formats(dpi):
     assert struct.unpack(">II", first[16:24]) == (4 * dpi, 3 * dpi)
     # What was chosen is over.
     assert to_png(figure).others == {}
+
+
+@pytest.mark.quick
+def test_a_picture_that_is_written_over_leaves_no_other_format_of_what_was(tmp_path):
+    figure = new_figure(2, 2, "the first")
+    figure.subplots()
+    path, own = tmp_path / "a.png", tmp_path / "b.svg"
+    own.write_text("<svg>drawn by a person</svg>")
+    with pictures_as(["svg", "pdf"]):
+        write_files({path: to_png(figure)}, force=False)
+    assert path.with_suffix(".svg").exists()
+    with pictures_as(["pdf"]):
+        write_files({path: to_png(figure), tmp_path / "b.png": to_png(figure)}, force=True)
+    assert not path.with_suffix(".svg").exists()
+    assert path.with_suffix(".pdf").exists()
+    assert own.exists()
 
 
 @pytest.mark.quick

@@ -25,7 +25,7 @@ def test_a_recording_without_a_sidecar(result, run, monkeypatch):
     alone = dataclasses.replace(result, task={"inputs": {"a.csv": "1f", "a.toml": None}})
     rows = Page(report_page(alone, [run])).rows
     assert ["a.csv", "1f"] in rows
-    assert ["a.toml", "there was no such file"] in rows
+    assert ["a.toml", "file did not exist"] in rows
 
 
 def test_a_fitted_initial_state_is_where_the_page_begins(result, run, monkeypatch):
@@ -79,7 +79,7 @@ def test_wrong_derivatives_are_no_reason_to_trust():
     assert opening(result).grade == "good"
     wrong = dataclasses.replace(result, gradient_check=GradientCheck(0.3, {}, 1e-4))
     assert opening(wrong).grade == "doubtful"
-    assert any("derivatives disagree" in limit for limit in opening(wrong).limits)
+    assert any("derivatives of the model disagree" in limit for limit in opening(wrong).limits)
 
 
 def test_what_is_known_worst_is_in_the_units_of_the_columns():

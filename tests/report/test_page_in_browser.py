@@ -53,7 +53,7 @@ def test_a_shipped_fit_with_every_study(name, browser, tmp_path):
     assert browse.opened(tmp_path / "site", browser) == []
     page = Page((tmp_path / "site" / "report.html").read_bytes())
     assert {"profiles", "repetitions", "influence", "posterior"} <= set(page.headings)
-    assert "Optima that the starts reached" in page.text
+    assert "Optima reached from the starting points" in page.text
     shown = load_result(folder).shown
     exact = [json.loads(a["data-exact"]) for _, a in page.tags if "data-exact" in a]
     assert exact == [estimate.value for estimate in shown.values()]

@@ -214,7 +214,7 @@ def test_another_noise_in_the_sidecar_is_another_configuration(run, whole, tmp_p
     (tmp_path / "run.toml").write_text(sidecar)
     louder = read_run(tmp_path / "run.csv")
     other = set_up(model_for([louder]), [louder], start=START).config
-    with pytest.raises(InputError, match="what the sidecar states"):
+    with pytest.raises(InputError, match="the content of the sidecar"):
         check_folder(whole[0], [louder], other)
 
 

@@ -67,7 +67,7 @@ def test_the_summary_says_what_the_values_rest_on(result):
     text = summary(result)
     for part in [
         "converged in", "reduced chi-square", "link04_z", "noise 0.01", "3 channels, 108 values",
-        "derivatives agree with differences to", "standard errors", "per unit of mass",
+        "derivatives agree with finite differences to", "standard errors", "per unit of mass",
         "to compile or load",
     ]:  # fmt: skip
         assert part in text

@@ -108,9 +108,7 @@ def test_a_class_of_that_name_in_another_file_is_not_that_of_the_result(tmp_path
         versions = versions or sources_of(registered("drag", "MovedLaw")())
     assert list(sources_named("drag = 'MovedLaw'")) == ["other_laws.py"]
     check_sources(versions, "drag = 'strip'")
-    said = (
-        r"made with first_laws.py, and here other_laws.py has a class of that name: give the former"
-    )
+    said = r"made with first_laws.py, but here other_laws.py defines its class: give the former"
     with pytest.raises(InputError, match=said):
         check_sources(versions, "drag = 'MovedLaw'")
 
@@ -135,8 +133,8 @@ def test_code_of_giajax_and_of_its_libraries_has_no_mark():
     [
         ("law.txt", "", "is not a plug-in: give a Python file"),
         ("my-law.py", "", "is not a plug-in"),
-        ("absent_law.py", None, "there is no plug-in .*absent_law.py: correct the path"),
-        ("json.py", "", "is called as another module, 'json': give it another name"),
+        ("absent_law.py", None, "the plug-in .*absent_law.py does not exist: correct the path"),
+        ("json.py", "", "has the name of another module, 'json': rename the file"),
         ("wrong_law.py", "1 / 0", r"cannot be imported \(ZeroDivisionError: division by zero\)"),
         ("wrong_words.py", "def", r"cannot be imported \(SyntaxError"),
         ("wrong_end.py", "raise SystemExit(0)", r"cannot be imported \(SystemExit: 0\)"),
@@ -152,7 +150,7 @@ def test_what_is_no_plug_in_is_refused(tmp_path, name, text, said):
 
 
 def test_what_is_registered_is_of_a_class_that_giajax_takes_and_has_a_name_of_its_own():
-    with pytest.raises(InputError, match="int is of no class that giajax takes: derive it"):
+    with pytest.raises(InputError, match="int is not derived from a class of giajax: derive it"):
         giajax.register(int)
 
     def made(module):
@@ -165,12 +163,12 @@ def test_what_is_registered_is_of_a_class_that_giajax_takes_and_has_a_name_of_it
     second = giajax.register(made("one"))
     assert registered("drag", "Twice") is second
     with pytest.raises(
-        InputError, match="there is a drag 'Twice' already: give yours another name"
+        InputError, match="a drag named 'Twice' already exists: choose another name"
     ):
         giajax.register(made("two"))
     for name in ("strip", "a+b"):
         body = {"points": 0, "force": lambda self, stream: None, "kind": name}
-        with pytest.raises(InputError, match="already: give yours another name"):
+        with pytest.raises(InputError, match="already exists: choose another name"):
             giajax.register(type(name, (giajax.mechanics.arm.AbstractDragLaw,), body))
 
 

@@ -64,7 +64,7 @@ def test_a_seed_is_of_the_study_and_the_task():
 
 def test_what_cannot_be_found_by_name_is_refused():
     for function in (lambda: None, "small_jobs", "small_jobs:double:x"):
-        with pytest.raises(InputError, match="which no other process can find"):
+        with pytest.raises(InputError, match="other processes cannot find"):
             Task(function)
 
 
@@ -123,7 +123,7 @@ def test_values_are_as_json_gives_them_back(tmp_path):
     assert run_tasks([task], folder=tmp_path)[0].value == run_tasks([task])[0].value
     assert read_outcome(tmp_path, task.key).value == run_tasks([task])[0].value
     odd = run_tasks([Task("builtins:object")])[0]
-    assert odd.message.endswith("object is a type that JSON has no form for")
+    assert odd.message.endswith("object is a type that cannot be stored as JSON")
 
 
 class Elsewhere(InProcess):
@@ -177,7 +177,9 @@ class Breaks(InProcess):
 
 def test_a_broken_pool_leaves_its_tasks_undone(tmp_path):
     tasks = tasks_of(small_jobs.double, [1, 2, 3])
-    with pytest.raises(InputError, match=r"takes no tasks \(a child process ended\): begin a new"):
+    with pytest.raises(
+        InputError, match=r"accepts no tasks \(a child process ended\): create a new"
+    ):
         run_tasks(tasks, executor=Breaks(), folder=tmp_path)
     assert [path.stem for path in tmp_path.iterdir()] == [tasks[0].key]
     assert [outcome.value for outcome in run_tasks(tasks, folder=tmp_path)] == [2, 4, 6]

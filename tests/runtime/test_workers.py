@@ -40,7 +40,7 @@ def test_processes(tmp_path, monkeypatch, request):
         outcomes = run_tasks(tasks, executor=executor, folder=kept)
         assert [outcome.status for outcome in outcomes].count("done") == 7
         assert outcomes[3].status == "failed"
-        assert outcomes[3].message.startswith("its worker ended 3 times while it ran")
+        assert outcomes[3].message.startswith("the worker ended 3 times during the task")
         assert {path.stem for path in kept.iterdir()} == {
             task.key for number, task in enumerate(tasks) if number != 3
         }
@@ -79,8 +79,8 @@ def test_a_cluster(tmp_path):
 @pytest.mark.quick
 def test_what_no_executor_can_be():
     for options, words in [
-        ({"workers": 0}, "there are 0 workers: give at least 1"),
-        ({"workers": 2, "scheduler": "tcp://a:1"}, "both workers of this machine and a scheduler"),
+        ({"workers": 0}, "the number of workers is 0: give at least 1"),
+        ({"workers": 2, "scheduler": "tcp://a:1"}, "both workers on this machine and a scheduler"),
     ]:
         with pytest.raises(InputError, match=words), open_executor(**options):
             pass

@@ -446,4 +446,4 @@ def test_added_mass_in_a_wind_that_changes_is_not_tested_where_it_is_not_neutral
     assert found.significant == ()
     row = found.of("air.added_mass_coefficient")
     assert not row.testable
-    assert "it cannot be tested: free it in a fit" in row.note
+    assert "the parameter cannot be tested: free it in a fit" in row.note

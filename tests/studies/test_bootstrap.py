@@ -106,7 +106,7 @@ def test_blocks_and_whole_fits_spread_as_much(result, runs):
     blocks = giajax.bootstrap(result, runs, size=24, method="block")
     assert blocks.block_lengths == {"line1": 4, "line2": 4}
     whole = giajax.bootstrap(result, runs, size=2, whole=True)
-    assert not any("noise is held" in note for note in whole.notes)
+    assert not any("noise is fixed" in note for note in whole.notes)
     for path in FREE:
         assert 0.5 < blocks.parameters[path].ratio < 1.6
         assert blocks.parameters[path].coverage is None
@@ -116,7 +116,7 @@ def test_blocks_and_whole_fits_spread_as_much(result, runs):
 
 def test_it_is_json(found):
     assert Bootstrap.of_json(found.to_json()) == found
-    with pytest.raises(InputError, match=r"no bootstrap\.json of this version"):
+    with pytest.raises(InputError, match=r"not a bootstrap\.json file of this version"):
         Bootstrap.of_json("{}")
 
 
@@ -178,8 +178,8 @@ def test_what_few_repetitions_say():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"size": 1}, "the size of a bootstrap is 1: give 2 repetitions at least"),
-        ({"method": "jackknife"}, "there is no bootstrap 'jackknife': use one of"),
+        ({"size": 1}, "the number of repetitions is 1: give at least 2"),
+        ({"method": "jackknife"}, "unknown bootstrap method 'jackknife': use one of"),
         ({"seed": -1}, "the seed is -1: give 0 or"),
     ],
 )

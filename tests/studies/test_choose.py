@@ -93,15 +93,15 @@ def test_another_run_judges():
 
 def test_bad_questions_are_refused():
     run = recording()
-    with pytest.raises(InputError, match="no candidate 'duhem'"):
+    with pytest.raises(InputError, match="unknown candidate 'duhem'"):
         choose_hysteresis([run], candidates=["duhem"])
-    with pytest.raises(InputError, match="there is no candidate: use some of: play"):
+    with pytest.raises(InputError, match="unknown candidate: choose from: play"):
         choose_hysteresis([run], candidates=[])
     with pytest.raises(InputError, match="between 0 and 1"):
         choose_hysteresis([run], fraction=1.0)
     with pytest.raises(InputError, match="too few to hold out"):
         choose_hysteresis([run], fraction=0.01)
     arm = Run.from_arrays([0.0, 1.0], {"tip_z": [0.0, 0.1]}, definition={"free_motion": True})
-    with pytest.raises(InputError, match="runs of hysteresis"):
+    with pytest.raises(InputError, match="runs of the hysteresis model"):
         choose_hysteresis([arm])
     assert set(CANDIDATES) > {"preisach", "bouc_wen", "modified_prandtl_ishlinskii"}

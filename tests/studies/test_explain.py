@@ -57,8 +57,8 @@ def test_two_omissions_are_found_and_judged_by_time_that_no_step_saw():
     assert last.held_out == pytest.approx(1, abs=0.3)
     assert first.held_out > 1.5 * last.held_out
     assert all(step.p_value < 0.05 for step in record.steps[1:])
-    assert any("step 1" in sentence and "left" in sentence for sentence in told)
-    assert any("selected by these data" in sentence for sentence in result.conditions)
+    assert any("step 1" in sentence and "remaining" in sentence for sentence in told)
+    assert any("selected with these data" in sentence for sentence in result.conditions)
     for one in record.parameters:
         assert one.total_error == pytest.approx(np.hypot(one.standard_error, one.selection_error))
         assert one.selection_error <= one.spread
@@ -107,7 +107,7 @@ def test_what_ends_it_early_gives_all_that_was_reached():
     assert about["held_from"] == dict.fromkeys(recording.observations, 96)
     (part,) = (each.fitted for each in hold_out([recording], ["last"]))
     assert suspects(found.result, part).rows
-    with pytest.raises(InputError, match="0 suspects cannot be tried"):
+    with pytest.raises(InputError, match="to try at each step is 0"):
         explain(first, recording, tries=0)
 
 

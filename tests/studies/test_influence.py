@@ -150,5 +150,5 @@ def test_what_a_run_has_for_itself_goes_with_it(drifting):
 
 
 def test_what_cannot_be_asked_is_refused(fitted, drifting):
-    with pytest.raises(InputError, match="there are 0 spans: give a number from 1"):
+    with pytest.raises(InputError, match="the number of spans is 0: give a number from 1"):
         giajax.influence(fitted, drifting, spans=0)

@@ -111,7 +111,7 @@ def test_nothing_is_added_to_a_right_model_nor_beyond_the_steps_allowed():
     both = recorded(late=0.05, rub=0.05, seed=2)
     short = ladder(fitted(both), both, most=1)
     assert len(short.steps) == 2
-    assert short.ending == "1 steps were allowed"
+    assert short.ending == "the limit of 1 steps was reached"
 
 
 def test_a_refit_begins_where_the_fit_ended():
@@ -144,7 +144,7 @@ def test_of_several_that_are_tried_the_lowest_bic_is_taken():
     assert taken == {1: "shift[1]", 2: "late"}
     steps = ladder(result, recording, tries=2)
     assert [step.suspect.path for step in steps.steps[1:]] == ["late"]
-    with pytest.raises(InputError, match="0 suspects cannot be tried"):
+    with pytest.raises(InputError, match="to try at each step is 0"):
         ladder(result, recording, tries=0)
 
 

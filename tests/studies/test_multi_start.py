@@ -46,7 +46,7 @@ def test_the_best_of_several_starts_is_the_result():
         assert abs(estimate.value - TRUTH[path]) < 3.5 * estimate.standard_error
     assert misfit(result) == pytest.approx(min(s.misfit for s in result.starts), abs=1e-3)
     assert result.gradient_check is not None
-    assert "of 4 ended here" in summary(result)
+    assert "of 4 ended at this optimum" in summary(result)
     assert result.config["start"] == {"amplitude": 0.5, "decay": 3.0}
 
 
@@ -71,11 +71,13 @@ def test_starts_are_added_to_a_result():
     assert more.config == whole.config
     one = fit(Decay(), data, start=options["start"])
     assert multi_start(Decay(), data, starts=2, before=one, **options).starts[1].misfit is not None
-    with pytest.raises(InputError, match="has other initial guesses: give its seed and spread"):
+    with pytest.raises(
+        InputError, match="has other initial guesses: give the same seed and spread"
+    ):
         multi_start(Decay(), data, starts=4, before=few, **{**options, "seed": 2})
-    with pytest.raises(InputError, match="is of another fit"):
+    with pytest.raises(InputError, match="belongs to another fit"):
         multi_start(Decay(), data, starts=4, before=few, loss="huber", **options)
-    with pytest.raises(InputError, match="has 4 of them already"):
+    with pytest.raises(InputError, match="already has 4 starts"):
         multi_start(Decay(), data, starts=3, before=whole, **options)
 
 
@@ -91,7 +93,7 @@ def test_a_start_that_fails_is_passed_over():
     assert best.reached == 6 - len(failed)
     assert best.values["decay"] == pytest.approx(result.parameters["decay"].value)
     (why,) = lost_starts(result)
-    assert "the model cannot be evaluated at the start values" in why
+    assert "the model cannot be evaluated at the initial values" in why
     assert f"{len(failed)} did not converge: {why}" in summary(result)
     assert [row[:2] for row in optima_table(result).rows] == [
         ["optimum 1", str(best.reached)], [why, str(len(failed))],

@@ -109,7 +109,9 @@ def test_a_band_has_the_noise_that_residuals_show(line):
 def test_runs_of_one_name_are_told_apart_or_refused(line, drawn, monkeypatch):
     same = SimpleNamespace(labels=("tip of 'run'", "tip of 'run'"))
     monkeypatch.setattr(Fitted, "optimum", lambda fitted: same)
-    with pytest.raises(InputError, match=r"two runs have one name, and tip of 'run' .* rename one"):
+    with pytest.raises(
+        InputError, match=r"two runs have the same name.* tip of 'run' .* rename one"
+    ):
         posterior(*line)
     assert drawn.summary.within == {"run4": {"tip_z": drawn.bands[0]["tip_z"].within}}
     assert unique_names([line[1], line[1]]) == ["run4", "run4_2"]
@@ -119,7 +121,9 @@ def test_chains_that_never_moved_are_the_worst(drawn):
     known = dict(drawn.summary.parameters)
     known["offset"] = dataclasses.replace(known["offset"], r_hat=None, ess_bulk=None, ess_tail=None)
     (sentence,) = doubts(known, 0, drawn.samples, [], 3)
-    assert sentence.startswith("the chains are stuck: the draws of offset in a chain are all equal")
+    assert sentence.startswith(
+        "the chains are stuck: within a chain, all draws of offset are equal"
+    )
 
 
 def test_the_gradient_is_that_of_differences(bent):
@@ -195,7 +199,7 @@ def test_after_a_stop_it_goes_on(line, tmp_path, monkeypatch):
     settings["folder"] = tmp_path
     first = posterior(*line, **settings, progress=stop)
     assert first.samples.shape == (1, draws, 2)
-    assert "2 of 3 chains were not drawn" in first.summary.warnings[0]
+    assert "2 of 3 chains were not sampled" in first.summary.warnings[0]
     assert len(list(tmp_path.iterdir())) == 1
     again = posterior(*line, **settings, progress=lambda *each: done.append(each))
     assert len(list(tmp_path.iterdir())) == 3
@@ -252,7 +256,7 @@ def test_the_next_arviz_takes_the_draws_too(drawn):
 def test_without_arviz_the_draws_are_numpys(drawn, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "arviz", None)
     with pytest.raises(
-        InputError, match=r"ArviZ is required for the draws, and is not installed.*\[posterior\]"
+        InputError, match=r"the draws requires ArviZ, which is not installed.*\[posterior\]"
     ):
         drawn.to_arviz()
     name, content = draws_file(drawn)
@@ -265,7 +269,7 @@ def test_without_arviz_the_draws_are_numpys(drawn, tmp_path, monkeypatch):
 @pytest.mark.quick
 def test_without_numpyro_one_sentence_says_what_to_do(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"needs NumPyro.*pip install .*\[posterior\]"):
+    with pytest.raises(InputError, match=r"requires NumPyro.*pip install .*\[posterior\]"):
         check_posterior()
 
 
@@ -305,6 +309,6 @@ def test_what_nothing_limits_has_no_posterior():
         labels=("mass", "start", "share"), standard_errors={0: 0.1}, alive=np.arange(3)
     )
     lower, upper = np.array([0.0, 0.0, 0.0]), np.array([np.inf, np.inf, 1.0])
-    with pytest.raises(InputError, match="neither data nor two bounds limit start: hold it"):
+    with pytest.raises(InputError, match="neither the data nor two bounds limit start: fix it"):
         check_proper(known, lower, upper)
     check_proper(known, lower, np.array([np.inf, 5.0, 1.0]))

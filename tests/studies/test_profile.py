@@ -135,7 +135,7 @@ def test_at_a_bound_it_is_one_sided_and_others_are_told_of(shallow):
     bend = profiles["bend"]
     assert bend.ended == ("bound", "level")
     assert bend.interval[0] == 0
-    assert bend.remarks[0] == "one-sided: its lower end is its bound"
+    assert bend.remarks[0] == "one-sided: its lower limit is its bound"
     columns = np.stack([np.ones(40), TIMES, TIMES**2], axis=1) / 0.05
     wanted = data.observations["tip_z"] / 0.05
 
@@ -177,7 +177,7 @@ def test_what_only_counts_together_has_no_end():
     assert "the data give no upper limit" in profiles["twin"].remarks
     assert profiles["twin"].interval[0] < 0.1
     assert len(profiles["twin"].points) < 40
-    assert profiles["idle"].remarks[0].endswith("no channel responds to it")
+    assert profiles["idle"].remarks[0].endswith("no channel responds to this quantity")
 
 
 def test_a_fit_that_was_not_at_its_optimum_is_told(shallow):
@@ -209,7 +209,7 @@ def test_it_goes_on_where_it_was_stopped_and_is_read_again(shallow, tmp_path):
     assert seen == [(1, 6), (2, 6), (3, 6)]
     assert first["offset"].complete
     assert first["slope"].ended[1] == "stopped"
-    assert "its upper side was stopped" in first["slope"].remarks
+    assert "the search for its upper limit was stopped" in first["slope"].remarks
     whole = profile(result, data, folder=tmp_path / "tasks", progress=lambda *at: seen.append(at))
     assert len(seen) == 6
     assert whole["offset"] == first["offset"]

@@ -128,7 +128,7 @@ def test_without_air_there_is_no_drag_to_feel():
 
 
 def test_what_makes_no_sense_is_one_sentence():
-    with pytest.raises(InputError, match="there is no parameter: give"):
+    with pytest.raises(InputError, match="no parameter is given: give"):
         sensitivity(model(), RUN, [])
     with pytest.raises(InputError, match=r"did you mean 'air\.drag_coefficient'"):
         sensitivity(model(), RUN, ["drag_coefficient"])

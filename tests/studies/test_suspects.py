@@ -265,7 +265,7 @@ def test_a_suspect_that_moves_a_parameter_makes_the_verdict_doubtful():
         "offset (or shift[2], which the data can hardly distinguish from it)"
     )
     assert "is held at 0.1 m, and the residuals suggest 0.11" in reason.sentence
-    assert reason.sentence.endswith("also fit it, by --free amplitude --free decay --free offset")
+    assert reason.sentence.endswith("fit it too, with --free amplitude --free decay --free offset")
     assert asked.headline.startswith("DOUBTFUL MODEL: offset ")
     # Asked again it is the same, and with the suspect free there is none.
     assert with_suspects(asked, recording, parameters_alone=True).verdict == asked.verdict

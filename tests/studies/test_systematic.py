@@ -72,8 +72,8 @@ def test_what_decides_is_a_condition():
     result = fitted(recording)
     asked = with_systematic_errors(result, recording, {"offset": 0.05})
     sentence = (
-        "offset: is held and decides, because a change of it by 0.05 m moves "
-        "amplitude, decay by more than a standard error"
+        "offset: is held fixed, and a change of this value by 0.05 m shifts "
+        "amplitude, decay by more than one standard error"
     )
     assert sentence in asked.conditions
     assert sentence in deciding_conditions(asked.systematic)
@@ -89,7 +89,7 @@ def test_what_decides_is_a_condition():
     [
         ({"decay": 0.1}, r"decay is fitted.*: hold it"),
         ({"offset": -1.0}, r"the uncertainty of offset is not positive: give"),
-        ({"offset": [1.0, 2.0]}, r"has 2 values, and it has 1: give"),
+        ({"offset": [1.0, 2.0]}, r"has 2 values, but the parameter has 1: give"),
         ({"offsat": 1.0}, r"there is no parameter 'offsat': did you mean 'offset'"),
     ],
 )

@@ -328,7 +328,7 @@ def test_a_fit_begins_where_another_one_ended(path):
 def test_a_fit_of_another_kind_is_no_beginning():
     earlier = Path(__file__).parents[1] / "fitting" / "earlier"
     begin = FitTask.of("any.csv").on_top(begin=earlier).begin
-    with pytest.raises(InputError, match="is of the hysteresis model and the runs are of the dec"):
+    with pytest.raises(InputError, match="uses the hysteresis model, but the runs use the dec"):
         set_up(Decay(), [run()], begin=WarmStart(**begin))
 
 

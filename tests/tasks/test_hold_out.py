@@ -46,7 +46,7 @@ def test_a_run_that_is_held_out_is_predicted(task):
     assert result.verdict.status == "adequate"
     (row,) = [row for row in summary(result).splitlines() if row.startswith("held out ")]
     assert "other: RMSE output 0.00" in row
-    assert "times what noise and the parameters allow; 1 channel, 44 values" in row
+    assert "times the error expected from noise and parameters; 1 channel, 44 values" in row
     stored = load_result(task.out)
     assert stored.held_out == result.held_out
     assert summary(stored) == summary(result)

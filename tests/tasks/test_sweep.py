@@ -68,7 +68,7 @@ def test_a_sweep_goes_on_and_compiles_nothing(swept, compiled, capsys):
     path = folder / "out" / "sweep.parquet"
     before, files = pl.read_parquet(path), len(list((folder / "out" / "fits").iterdir()))
     assert main([*words, "--dry-run"]) == 0
-    assert "4 of them done already" in capsys.readouterr().out
+    assert "4 of them already done" in capsys.readouterr().out
     (folder / "plan.toml").write_text(PLAN.replace("[0.1, 0.2]", "[0.1, 0.2, 0.15]"))
     programs = compiled()
     assert main(words) == 1

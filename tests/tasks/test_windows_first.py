@@ -47,7 +47,7 @@ def test_a_frequency_that_is_far_off_is_found(recording, tmp_path, capsys):
     words = ["fit", str(definition), "--windows-first", "3", *quick, "--out", str(out)]
     assert main(words) == 0
     said = capsys.readouterr().err
-    assert "first in 13 windows" in said
+    assert "first fit in 13 windows" in said
     assert "in windows: converged in" in said
     found = load_result(out)
     estimate = found.parameters["links.centre_of_mass[0]"]

@@ -19,7 +19,7 @@ from ..simulation import Signal, constant, followed, simulate
 from .design import draws, known_before
 
 DIGITS = 9
-"""Of times, s."""
+"""Resolution of the times, s."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,8 +41,9 @@ class Command:
     def __post_init__(self) -> None:
         if self.times.ndim != 1 or self.angles.shape[:1] != self.times.shape or self.times[0] != 0:
             raise InputError(
-                f"a command has times of shape {self.times.shape} and angles of shape "
-                f"{self.angles.shape}: give a row of angles for each time, the first one at 0 s"
+                f"the times of a command have the shape {self.times.shape} and its angles the "
+                f"shape {self.angles.shape}: give one row of angles for each time, the first one "
+                "at 0 s"
             )
 
     def at(self, times: np.ndarray) -> np.ndarray:
@@ -111,8 +112,8 @@ class Rest(NamedTuple):
         squares, turned = np.linalg.eigh(np.linalg.solve(root, half.T))
         if squares[0] <= 0:
             raise InputError(
-                "the arm is not stable at the end of the command: choose another final pose, or "
-                "correct stiffness and gravity"
+                "the pose at the end of the command is unstable: choose another final pose, or "
+                "correct the stiffness and gravity of the arm"
             )
         return np.sqrt(squares), np.linalg.solve(root.T, turned)
 
@@ -152,7 +153,9 @@ def rest_at(arm: Arm, commanded: Array) -> Rest:
     return Rest(angles, off, by_angles, by_command, mass_matrix(arm, angles), tip, moves)
 
 
-def found_rest(arm: Arm, commanded: np.ndarray, where: str = "where the command ends") -> Rest:
+def found_rest(
+    arm: Arm, commanded: np.ndarray, where: str = "for the final pose of the command"
+) -> Rest:
     """The arm about its rest by commanded angles (rad), in NumPy's arrays.
 
     Raises:
@@ -160,7 +163,7 @@ def found_rest(arm: Arm, commanded: np.ndarray, where: str = "where the command 
     """
     rest = rest_at(arm, jnp.asarray(commanded, jnp.result_type(float)))
     if not rest.known:
-        raise InputError(f"no equilibrium of the arm was found {where}: choose other angles there")
+        raise InputError(f"no equilibrium of the arm was found {where}: choose other angles")
     parts: Any = map(np.asarray, rest)
     return Rest(*parts)
 
@@ -215,7 +218,7 @@ class Flight(NamedTuple):
 
 
 UNTIL, SETTLING = 150, 360
-"""Samples of a motion until its command ends, and after it."""
+"""Numbers of samples of a motion during its command and after it."""
 
 
 def settling_times(end: float, longer: float) -> Float[np.ndarray, " sample"]:
@@ -233,7 +236,7 @@ def settled_at(times: np.ndarray, distance: np.ndarray, near: float) -> float | 
 
 
 WRONG = 0.25
-"""Share by which a stiffness may be wrong."""
+"""Assumed relative error of a stiffness."""
 
 _STIFFNESSES = ("joints.pitch_stiffness", "joints.yaw_stiffness")
 

@@ -58,14 +58,15 @@ class Compensator:
         channel = target_channel(run)
         if self.output_channel is not None and not comparable(channel, self.output_channel):
             raise InputError(
-                f"the target of '{run.name}' is {channel.column}, but what is inverted gives "
-                f"{self.output_channel.column}: give a target of the same quantity"
+                f"the target of '{run.name}' is {channel.column}, but the output of the inverted "
+                f"model is {self.output_channel.column}: give a target of the same quantity"
             )
         values = run.values[channel.name]
         if np.any(np.isnan(values)):
             row = int(np.flatnonzero(np.isnan(values))[0])
             raise InputError(
-                f"sample {row + 1} of '{run.name}' has no target {channel.name}: fill the gap"
+                f"sample {row + 1} of '{run.name}' has no target value for {channel.name}: fill "
+                "the gap"
             )
         low, high = self.reachable
         slack = _ROUNDING * (high - low)
@@ -74,16 +75,16 @@ class Compensator:
             at = int(beyond[0])
             goal, *ends = (f"{channel.from_si(si):.4g}" for si in (values[at], low, high))
             raise InputError(
-                f"the target of '{run.name}' is {goal} {channel.unit} in sample {at + 1}, beyond "
-                f"the reachable range from {' to '.join(ends)} {channel.unit}: lower it, or fit a "
-                "run that goes further"
+                f"the target of '{run.name}' is {goal} {channel.unit} in sample {at + 1}, outside "
+                f"the reachable range of {' to '.join(ends)} {channel.unit}: change the target, or "
+                "fit a run that covers a wider range"
             )
         commands = self.commands(np.clip(values, low, high))
         if not np.all(np.isfinite(commands)):
             at = int(np.flatnonzero(~np.isfinite(commands))[0])
             raise InputError(
-                f"no command reaches the target of '{run.name}' in sample {at + 1}: fit another "
-                "operator, or lower the target"
+                f"no command reaches the target of '{run.name}' in sample {at + 1}: fit a "
+                "different operator, or reduce the target"
             )
         return commands
 
@@ -93,7 +94,7 @@ def target_channel(run: Run) -> Channel:
     targets = [channel for channel in run.channels.values() if channel.kind in run.kind.outputs]
     if len(targets) != 1:
         raise InputError(
-            f"'{run.name}' has {len(targets)} columns of output or angle: give one, the target"
+            f"'{run.name}' has {len(targets)} output or angle columns: give only one, the target"
         )
     return targets[0]
 
@@ -109,8 +110,8 @@ def compensator_for_model(model: AbstractModel) -> Compensator:
     """
     if model.kind != HysteresisModel.kind:
         raise InputError(
-            f"the fit is of the {model.kind} model, which is not compensated: give a fit of "
-            "hysteresis"
+            f"the fit uses the {model.kind} model, which cannot be inverted: give a fit of the "
+            "hysteresis model"
         )
     model = cast(HysteresisModel, model)
     operator, state = model.operator, model.memory()
@@ -142,7 +143,7 @@ def compensator_for_loop(run: Run, travel: float | None = None) -> Compensator:
     operator = branches_from_loop(run.values[channel.name], values, travel)
     if not operator.reachable[0] < operator.reachable[1]:
         raise InputError(
-            f"the branches of '{run.name}' have no {name} in common: give a loop that goes up and "
-            "down over the same range"
+            f"the branches of '{run.name}' share no range of {name}: give a loop that rises and "
+            "falls over the same range"
         )
     return Compensator(operator, None, 0.0, operator.reachable, channel, run.channels[name])

@@ -259,7 +259,7 @@ def one_link(
     say("recording the joint")
     recording, offset = _record(joint)
     paper = paper_history()
-    say("eq. (12): the branches of the loop")
+    say("computing the branches of the loop (eq. (12))")
     on_paper = np.rad2deg(recording.values["angle"][: len(paper.target)])
     branches = compensator_for_loop(_run(paper, on_paper), travel)
     say("fitting the modified Prandtl-Ishlinskii operator")
@@ -271,7 +271,7 @@ def one_link(
     trials, number = [], 0
     for plan in (paper, other_history()):
         for name, compensator in (("none", None), ("branches", branches), ("inverse", inverse)):
-            say(f"the {plan.name} history, compensation: {name}")
+            say(f"simulating the {plan.name} history, compensation: {name}")
             number += 1
             commands = plan.target
             if compensator is not None:
@@ -340,7 +340,7 @@ def figure_12(study: OneLink) -> Figure:
     """One row a history, one column a compensation."""
     histories = list(dict.fromkeys(trial.history.name for trial in study.trials))
     columns = list(dict.fromkeys(trial.compensation for trial in study.trials))
-    title = "One link: measured against target angle, simulated joint, offset removed"
+    title = "One link (simulated): measured angle against target angle, offset removed"
     figure = new_figure(3.6 * len(columns), 3.4 * len(histories) + 0.5, title)
     grid = figure.subplots(len(histories), len(columns), sharex=True, sharey=True, squeeze=False)
     for row, name in enumerate(histories):
@@ -375,7 +375,7 @@ ONE_LINK_FILES = (
     *("fig12.png", "fig12.csv", "errors.csv", "result.json"),
     *("recording.csv", "recording.toml"),
 )
-"""What the 1-link experiment writes."""
+"""Names of the files that the 1-link experiment writes."""
 
 _ERRORS = ("history", "compensation", "mean_error_deg", "largest_error_deg")
 _TABLE = ("history", "compensation", "time_s", "target_deg", "command_deg", "angle_deg")

@@ -180,7 +180,7 @@ def crossings(
 _Numbers = npt.NDArray[np.float64]
 
 LIMIT = 6 * 3600.0
-"""When `fill` gives up, s."""
+"""Default time limit of `fill`, s."""
 
 _TIMES = 401
 _TOLERANCE = 1e-8
@@ -297,8 +297,8 @@ def fill(
     found = _tried(made, limit, _TOLERANCE, _shares(made, share))
     if not bool(found.succeeded):
         raise InputError(
-            f"the simulation of the filling fails beyond {float(found.times[-1]):.3g} s, after "
-            f"{int(found.steps)} steps: give narrower holes, or a larger skin_slack"
+            f"the simulation of the filling failed at {float(found.times[-1]):.3g} s, after "
+            f"{int(found.steps)} steps: make the holes narrower, or skin_slack larger"
         )
     here, links = made.bag_of_link, made.arm.links
     pressure, fullness, flow, lift = map(np.asarray, _states(made, found))
@@ -325,13 +325,13 @@ def _shares(filling: Filling, share: npt.ArrayLike) -> _Numbers:
     given = np.asarray(share, dtype=float)
     if given.shape not in ((), (filling.bags,)):
         raise InputError(
-            f"the share has the shape {given.shape}, but there are {filling.bags} bags: give one "
-            "number, or one for each"
+            f"the filled share has the shape {given.shape}, but the arm has {filling.bags} bags: "
+            "give one number, or one number for each bag"
         )
     # The integrator leaves traces below 0 in bags that nothing has reached.
     wrong = given[~((given >= -_TOLERANCE) & (given < np.inf))]
     if wrong.size:
-        raise InputError(f"a share is {wrong[0]:g}: give zero or a positive number")
+        raise InputError(f"a filled share is {wrong[0]:g}: give zero or a positive number")
     return np.broadcast_to(np.maximum(given, 0), filling.bags)
 
 
@@ -377,10 +377,10 @@ def _states(filling: Filling, found: _Course) -> tuple[Array, Array, Array, Arra
 
 
 PAPER_DURATION = 23 * 60.0
-"""How long filling took, s (IV.B)."""
+"""Duration of the filling in the paper, s (section IV.B)."""
 
 DIAMETERS = (0.004, 0.005, 0.006, 0.007, 0.008, 0.01, 0.012, 0.015, 0.02)
-"""Diameters of the ports of a curve, m."""
+"""Diameters of the ports for which the curve is computed, m."""
 
 _TRIES = 40
 # A supply that is a hundred times as strong will not do either.
@@ -424,13 +424,13 @@ def filling_curve(
     """
     made = Filling() if filling is None else filling
     if made.bags < 2:
-        raise InputError("all links share one bag, which has no ports: leave the curve out")
+        raise InputError("all links share one bag, which has no ports: do not request the curve")
     if not 0 < duration <= FILLING_S:
         raise InputError(
-            f"the duration is {duration:g} s: give a positive number, at most {FILLING_S:g} s"
+            f"the duration is {duration:g} s: give a positive number of at most {FILLING_S:g} s"
         )
     if not len(diameters):
-        raise InputError("there are no diameters: give at least one")
+        raise InputError("no diameter is given: give at least one")
     path = STRENGTHS[made.supply.kind]
 
     def one(diameter: float, begin: _Slope) -> tuple[_Slope, tuple[float, ...]]:
@@ -600,9 +600,9 @@ def filling_figure(filled: Filled) -> Figure:
     figure = new_figure(9.0, 6.0, f"Filling {filled.filling.arm.count} links: {end}")
     minutes = filled.times / _MINUTE
     panels = {
-        "Fullness of each link": (filled.fullness, "volume over that when tight"),
-        "Pressure in each link": (filled.pressure, "Pa above the room"),
-        "Lift beyond each link's own weight": (filled.net_lift * 1e3, "g"),
+        "Fullness of each link": (filled.fullness, "share of the full volume"),
+        "Pressure in each link": (filled.pressure, "gauge pressure (Pa)"),
+        "Net lift of each link": (filled.net_lift * 1e3, "g"),
         "Bending stiffness of each link (assumed)": (filled.stiffness, "N m$^2$"),
     }
     for place, (title, (table, unit)) in enumerate(panels.items(), start=1):
@@ -618,7 +618,7 @@ def filling_figure(filled: Filled) -> Figure:
                 axes.axvline(when, color=INK, linewidth=0.8, linestyle="--")
                 low, high = axes.get_ylim()
                 axes.set_ylim(low, high + 0.2 * (high - low))
-                said, above = f"the arm lifts itself: {when:.1f} min", high + 0.08 * (high - low)
+                said, above = f"arm lifts off: {when:.1f} min", high + 0.08 * (high - low)
                 small: Any = {"ha": "right", "fontsize": 8}
                 axes.annotate(said, (when, above), (-4, 0), textcoords="offset points", **small)
     return figure
@@ -635,16 +635,16 @@ def _curves(axes: Axes, minutes: Any, table: Any) -> None:
 
 def curve_figure(curve: FillingCurve) -> Figure:
     """Port against supply, and the pressure that it costs."""
-    title = f"Ports and supplies with which filling takes {curve.duration / _MINUTE:g} min"
+    title = f"Port diameters and supplies for filling within {curve.duration / _MINUTE:g} min"
     figure = new_figure(8.0, 3.4, title)
     diameters = curve.diameters * 1e3
     axes = figure.add_subplot(1, 2, 1)
     axes.plot(curve.flows / _LITRE_PER_MINUTE, diameters, "o-", color=BLUE, ms=4)
     port = "diameter of the ports (mm)"
-    plain(axes, "Port against supply", "flow of the supply when it begins (l/min)", port)
+    plain(axes, "Port diameter against supply", "initial flow of the supply (l/min)", port)
     axes.set_ylim(bottom=0)
     axes = figure.add_subplot(1, 2, 2)
     axes.semilogy(diameters, curve.pressures, "o-", color=VERMILLION, ms=4)
-    plain(axes, "What it costs", port, "largest pressure in the first bag (Pa)")
+    plain(axes, "Pressure required", port, "largest pressure in the first bag (Pa)")
     axes.tick_params(which="both", labelsize=8)
     return figure

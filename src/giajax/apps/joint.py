@@ -106,8 +106,8 @@ def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
     runs straight.
     """
     table = angle_table(joint, corrected=corrected)
-    what = "with alpha and beta" if corrected else "without corrections"
-    figure = new_figure(10, 3.9, f"One muscle under {float(joint.torque):g} N m, {what}")
+    what = "with the corrections alpha and beta" if corrected else "without corrections"
+    figure = new_figure(10, 3.9, f"One muscle at a torque of {float(joint.torque):g} N m, {what}")
     names = {"contraction": "contraction", "force_N": "force (N)"}
     for panel, (name, label) in zip(figure.subplots(1, 2), names.items(), strict=True):
         shade_branches(panel, joint)
@@ -150,7 +150,7 @@ def correction_table(
 
 def correction_figure(joint: Joint) -> Figure:
     """Alpha and beta of a joint in both readings of the paper: the erratum."""
-    figure = new_figure(8, 3.6, "Corrections: with the size of the angle, and as printed")
+    figure = new_figure(8, 3.6, "Corrections: computed with |angle|, and as printed in the paper")
     panel = figure.subplots()
     end, least = np.rad2deg(LARGEST_ANGLE), -float(joint.torque)
     for reading, colour, style in (("printed", GREY, (0, (3, 2))), ("continuous", VERMILLION, "-")):
@@ -161,7 +161,7 @@ def correction_figure(joint: Joint) -> Figure:
             curve = table["angle_deg"][rows], table["added_torque_N_m"][rows]
             panel.plot(*curve, color=ink, linestyle=style, linewidth=1.4)
     panel.axhline(least, color=INK, linewidth=0.8, linestyle=(0, (1, 2)))
-    panel.text(end - 1, least, "below this the muscle would have to push",
+    panel.text(end - 1, least, "below this line the muscle would have to push",
                fontsize=8, color=INK, ha="right", va="bottom")  # fmt: skip
     plain(panel, "added torque (N m)")
     angle_axis(panel, "bending angle of the muscle")
@@ -284,7 +284,9 @@ def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg
 
     The table is of `equilibria_table`; the example is a target angle, whose pressures are drawn.
     """
-    figure = new_figure(11, 4.2, "Two pressures hold a joint at more than one angle")
+    figure = new_figure(
+        11, 4.2, "Equilibria of a joint: the same two pressures allow several angles"
+    )
     left, right = figure.subplots(1, 2)
     shade_branches(left, pair.joint)
     target, angle, stable = table["target_deg"], table["angle_deg"], table["stable"]
@@ -293,10 +295,10 @@ def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg
     for held, colour, name in ((True, BLUE, "stable"), (False, VERMILLION, "unstable")):
         rows = stable == held
         left.plot(target[rows], angle[rows], ".", color=colour, markersize=4, label=name)
-    plain(left, f"equilibria of its two pressures ({DEGREE})")
+    plain(left, f"equilibrium angles for these two pressures ({DEGREE})")
     # Of the angles beyond, the pressures crush the neck.
     most = float(np.max(np.abs(target), initial=0.0))
-    beyond = f", beyond {most:g}{DEGREE} a crushed neck" if most < end - 1 else ""
+    beyond = f" (the neck is crushed beyond {most:g}{DEGREE})" if most < end - 1 else ""
     angle_axis(left, f"target angle{beyond}")
     left.set_ylim(-end, end)
     left.set_yticks(np.arange(-end, end + 1, 20))
@@ -315,7 +317,7 @@ def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg
         colour = BLUE if item.stable else VERMILLION
         right.plot(np.rad2deg(item.angle), 0, "o", color=colour, markersize=6)
     kilopascals = " and ".join(f"{float(p) / 1e3:.1f}" for p in pressures)
-    plain(right, f"torque at {kilopascals} kPa, for {example_deg:g}{DEGREE} (N m)")
+    plain(right, f"torque at {kilopascals} kPa, target {example_deg:g}{DEGREE} (N m)")
     angle_axis(right, "angle")
     return figure
 
@@ -324,7 +326,7 @@ JOINT_FILES = (
     *("fig09.png", "fig09.csv", "fig10.png", "fig10.csv", "corrections.png", "corrections.csv"),
     *("joint.png", "points.csv", "equilibria.png", "equilibria.csv"),
 )
-"""What `joint_files` makes."""
+"""Names of the files that `joint_files` makes."""
 
 
 def joint_files(pair: JointPair, degrees: Sequence[float], target: float) -> dict[str, bytes]:

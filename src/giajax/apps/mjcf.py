@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 AIR = "air.py"
-"""The Python file beside an exported arm, which is `_mujoco_air.py` of this folder."""
+"""Name of the Python file beside an exported arm, a copy of `_mujoco_air.py` in this folder."""
 
 _ON_LINE = 1e-9  # of the length of the arm: how far a joint may lie off the line of the others
 
@@ -75,7 +75,7 @@ def read_mjcf(
         model = mujoco.MjSpec.from_file(str(path)).compile()
     except (ValueError, OSError) as error:
         sentence = " ".join(str(error).split())
-        raise InputError(f"{path} is not read by MuJoCo ({sentence}): correct it") from None
+        raise InputError(f"MuJoCo cannot read {path} ({sentence}): correct the file") from None
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     links = _chain_of(model, path)
@@ -92,15 +92,16 @@ def read_mjcf(
     if np.any(off > _ON_LINE * size):
         joint = int(np.argmax(off > _ON_LINE * size))
         raise InputError(
-            f"{path}: the joint '{names[joint]}' is {off[joint]:.3g} m off the line of the others, "
-            "but links are straight at angles of zero: move it, or set its ref"
+            f"{path}: the joint '{names[joint]}' is {off[joint]:.3g} m away from the line of the "
+            "other joints, but all links must be straight at zero angles: move the joint, or set "
+            "its ref"
         )
     length = np.diff(([*anchors, ends] - anchors[0]) @ along)
     if not np.all(length > 0):
         joint = int(np.argmin(length > 0))
         raise InputError(
             f"{path}: the link of the joint '{names[joint]}' has no length along the arm: give it "
-            "one, and to the last one a geom or a site at its end"
+            "a length (the last link needs a geom or a site at its end)"
         )
     world = _upright(-model.opt.gravity)
     frame = _frame(along, world[2])
@@ -109,7 +110,7 @@ def read_mjcf(
     if diameter is None and not all(thick):
         joint = thick.index(0.0)
         raise InputError(
-            f"{path}: no geom states the diameter of the link of the joint '{names[joint]}' is: "
+            f"{path}: no geom states the diameter of the link of the joint '{names[joint]}': "
             "give the diameter of the links"
         )
     mass, centre, inertia = (np.array(each) for each in zip(*parts, strict=True))
@@ -119,7 +120,10 @@ def read_mjcf(
         raise InputError(f"{path}: {error}") from None
     if points is not None:
         which = ", ".join(str(link) for link in dict.fromkeys(points.links))
-        lost.append(f"links that are not round about their axis are six points each: {which}")
+        lost.append(
+            "each link whose inertia is not symmetric about its axis becomes six point masses: "
+            f"{which}"
+        )
     axes = data.xaxis @ frame
     joints = _joints(model, axes, lost)
     arm = chain(
@@ -140,7 +144,9 @@ def read_mjcf(
     rest = np.asarray(model.qpos_spring - model.qpos0)
     if np.any(rest[np.asarray(model.jnt_stiffness) > 0]):
         angles = ", ".join(f"{angle:.6g}" for angle in np.rad2deg(rest))
-        lost.append(f"springs rest at angles of the file, so command these: {angles} deg")
+        lost.append(
+            f"the springs are unloaded at nonzero angles, so command these angles: {angles} deg"
+        )
     return ReadArm(arm, names, rest, tuple(joints), tuple(lost))
 
 
@@ -157,24 +163,26 @@ def _chain_of(model: "mujoco.MjModel", path: str | Path) -> list[int]:
     import mujoco
 
     if not model.njnt:
-        raise InputError(f"{path} has no joint: an arm has a hinge for each link")
+        raise InputError(f"{path} has no joint: give one hinge for each link")
     for joint in range(model.njnt):
         if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
             name = model.joint(joint).name
-            raise InputError(f"{path}: the joint '{name}' is not a hinge: an arm has only hinges")
+            raise InputError(f"{path}: the joint '{name}' is not a hinge: use only hinges")
     links = [int(body) for body in model.jnt_bodyid]
     before = 0
     for body in links:
         name = model.body(body).name
         if body == before:
-            raise InputError(f"{path}: the body '{name}' has two joints: give each one a body")
+            raise InputError(
+                f"{path}: the body '{name}' has two joints: give each joint its own body"
+            )
         held = int(model.body_weldid[model.body_parentid[body]])
         if held != before:
             others = one_of(
                 model.body(other).name for other in links if _held(model, other) == held
             )
             raise InputError(
-                f"{path} is a tree, and an arm is a chain: keep one of the bodies {others}"
+                f"{path} is a tree, but an arm is a chain: keep only one of the bodies {others}"
             )
         before = body
     return links
@@ -188,17 +196,17 @@ def _held(model: "mujoco.MjModel", body: int) -> int:
 def _lost(model: "mujoco.MjModel") -> Iterator[str]:
     """What a file has and an arm does not, joints apart."""
     counts = {"actuators": model.nu, "tendons": model.ntendon, "equalities": model.neq}
-    yield from (f"the file's {name} are lost" for name, count in counts.items() if count)
+    yield from (f"the {name} of the file are omitted" for name, count in counts.items() if count)
     if model.opt.density or model.opt.viscosity:
-        yield "the medium of MuJoCo is lost: giajax computes the air forces"
+        yield "the medium of MuJoCo is omitted: giajax computes the air forces"
     if np.any(model.body_gravcomp):
-        yield "gravcomp of bodies is lost"
+        yield "gravcomp of bodies is omitted"
     # Of version 4 on.
     for name in ("jnt_stiffnesspoly", "dof_dampingpoly"):
         if np.any(getattr(model, name, 0.0)):
-            yield "only the linear part of stiffness and damping polynomials is kept"
+            yield "only the linear parts of the stiffness and damping polynomials are kept"
     if np.any((model.geom_contype != 0) | (model.geom_conaffinity != 0)):
-        yield "contacts of geoms are lost: state obstacles in [arm]"
+        yield "contacts of geoms are omitted: state obstacles in [arm]"
 
 
 def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, Any]:
@@ -211,7 +219,9 @@ def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, 
         several = sorted(set((model.jnt_stiffness[which] * springs).tolist())) or [0.0]
         found[f"joints.{name}_stiffness"] = several[0] if len(several) == 1 else 0.0
         if len(several) > 1:
-            lost.append(f"springs are lost: those of {name} joints have several stiffnesses")
+            lost.append(
+                f"the springs of the {name} joints are omitted: they have several stiffnesses"
+            )
     if np.any(model.dof_armature):
         found["joints.armature"] = np.array(model.dof_armature)
     if np.any(model.jnt_limited) and not _disabled(model, "LIMIT"):
@@ -220,14 +230,17 @@ def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, 
         )
         found["joints.laws.end_stops.lower"] = np.clip(limits[:, 0], -np.pi, 0)
         found["joints.laws.end_stops.upper"] = np.clip(limits[:, 1], 0, np.pi)
-        lost.append("limits of joints are stops of giajax's stiffness (joints.laws.end_stops)")
+        lost.append("joint limits become end stops with giajax's stiffness (joints.laws.end_stops)")
         if np.any((limits[:, 0] > 0) | (limits[:, 1] < 0)):
-            lost.append("a range without 0 in it is extended to 0")
+            lost.append("the range of a joint that does not contain 0 is extended to 0")
         if np.any(np.abs(limits) > np.pi) or not np.all(model.jnt_limited):
-            lost.append("beside joints with limits, those of the others are 180 deg")
+            lost.append(
+                "joints without limits are given limits of 180 deg, because other joints have "
+                "limits"
+            )
     if np.any(model.dof_frictionloss) and not _disabled(model, "FRICTIONLOSS"):
         found["joints.friction"] = np.array(model.dof_frictionloss)
-        lost.append("frictionloss, which sticks at rest, becomes a smooth friction")
+        lost.append("frictionloss, which models sticking, becomes a smooth friction law")
     return found
 
 
@@ -388,7 +401,7 @@ def export_mjcf(arm: Arm) -> ExportedArm:
         mujoco.MjSpec.from_string(text).compile()
     except ValueError as error:
         sentence = " ".join(str(error).split())
-        raise InputError(f"MuJoCo refuses this arm ({sentence}): correct its links") from None
+        raise InputError(f"MuJoCo rejects this arm ({sentence}): correct the links") from None
     air, factor = arm.air, float(arm.air.density) * radius * length
     axial = 0.0 if air.axial_coefficient is None else float(air.axial_coefficient)
     upwards = lift(arm)
@@ -426,19 +439,19 @@ def _not_exported(arm: Arm) -> Iterator[str]:
     absent = {
         "added mass": arm.air.added_mass_coefficient is not None,
         "the dependence of drag on the Reynolds number": arm.air.drag_curve != "constant",
-        "the law of drag": arm.air.law is not None,
-        "the wind field over position and time": arm.air.wind_field is not None,
+        "the drag law": arm.air.law is not None,
+        "the wind field (over position and time)": arm.air.wind_field is not None,
         "joint laws other than springs, dampers and friction": bool(arm.joints.further_laws.laws),
         "the gain of the drives": arm.joints.drive_gain is not None,
         "the lag of the drives": arm.joints.drive_lag is not None,
         "the saturation of the drives": arm.joints.drive_saturation is not None,
         "the drift of lift": arm.buoyancy is not None and arm.buoyancy.imbalance_drift is not None,
         "the drift of stiffness": arm.joints.stiffness_drift is not None,
-        "muscles, and the bending resistance of balloons": arm.pneumatics is not None,
+        "the torque of muscles and of bent balloons": arm.pneumatics is not None,
         "obstacles": arm.contact is not None,
-        "drag of point masses": points is not None and points.drag_area is not None,
+        "the drag of point masses": points is not None and points.drag_area is not None,
     }
-    yield from (f"{name} is lost" for name, lost in absent.items() if lost)
+    yield from (f"omitted: {name}" for name, lost in absent.items() if lost)
 
 
 def _each(values: Any, count: int) -> Array:

@@ -111,7 +111,9 @@ def zero_vibration_and_derivative(period: float, damping: float) -> Impulses:
 
 
 INSENSITIVITY = 0.05
-"""Share of the swing that EI leaves where period and damping are right."""
+"""Residual swing of the EI shaper at the correct period and damping, as a share of the unshaped
+swing.
+"""
 
 _MOST_DAMPED = 0.8  # beyond, the later impulses are next to nothing
 _MOST_DAMPED_EI = 0.55  # beyond, no three impulses do it
@@ -124,7 +126,10 @@ def extra_insensitive(period: float, damping: float) -> Impulses:
         InputError: a damping above 0.55, where no such impulses exist.
     """
     if not damping <= _MOST_DAMPED_EI:
-        raise InputError(f"EI exists for a damping up to {_MOST_DAMPED_EI}, and it is {damping:g}")
+        raise InputError(
+            f"the damping ratio is {damping:g}, but EI exists only up to {_MOST_DAMPED_EI}: use "
+            "another shaper"
+        )
     shape = _extra_insensitive(round(damping, 6))
     return Impulses(shape.times * period, shape.sizes)
 
@@ -155,7 +160,9 @@ def _extra_insensitive(damping: float) -> Impulses:
 
         solved = root(off, found)
         if not solved.success:
-            raise InputError(f"no EI impulses are found for a damping of {damping:g}")
+            raise InputError(
+                f"no EI impulses were found for a damping ratio of {damping:g}: use another shaper"
+            )
         found = solved.x
     return impulses(found)
 
@@ -384,17 +391,18 @@ def shape_command(
     arm = stated.arm
     if command.angles.shape[1] != arm.count:
         raise InputError(
-            f"the command is of {command.angles.shape[1]} joints, and the arm has {arm.count}"
+            f"the command has angles of {command.angles.shape[1]} joints, but the arm has "
+            f"{arm.count}"
         )
     if arm.pneumatics is not None:
         raise InputError(
-            "the arm has muscles, whose stiffness changes with their pressures and which may hold "
-            "a joint at several angles: shape the command of an arm with springs"
+            "the arm has muscles, whose stiffness depends on pressure and which may hold "
+            "a joint at several angles: use an arm with springs"
         )
     tips = np.asarray(_rest_tips(arm, jnp.asarray(command.angles, dtype=jnp.result_type(float))))
     travel = float(np.max(np.linalg.norm(tips - tips[-1], axis=1)))
     if not travel > 1e-6:
-        raise InputError("the command does not move the tip: give a command that does")
+        raise InputError("the command does not move the tip: give a command that moves it")
     modes = modes_after(arm, command)
     worth = _chosen(modes, travel)
     wrong = [softer(stated, 1 - WRONG).arm, softer(stated, 1 + WRONG).arm]
@@ -404,12 +412,11 @@ def shape_command(
     notes = []
     for name in shapers:
         if progress is not None:
-            progress(f"{name} ...")
+            progress(f"shaper {name} ...")
         rows.append(study.row(name, study.tuned(name) if tuned else study.usual(name)))
     if modes[0].damping > _MOST_DAMPED:
         notes.append(
-            "a swing of this size is overdamped by the air: the arm approaches its rest without "
-            "swinging"
+            "the air overdamps a swing of this size: the arm approaches its rest without swinging"
         )
     if lost := len(drawn) - min(len(row.drawn) for row in rows):
         notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")
@@ -493,8 +500,8 @@ class _Study:
         count = len(self.arms)
         if not np.all(np.isfinite(left[0, :count])):
             raise InputError(
-                "the motion of the arm cannot be simulated with its stiffness or with one changed "
-                "by a quarter: give a command that it can follow"
+                "the motion of the arm cannot be simulated with the given stiffness or with a "
+                "stiffness changed by a quarter: give a command that the arm can follow"
             )
         sound = np.flatnonzero(np.isfinite(left[0]))[count:]
         return Shaped(
@@ -601,7 +608,7 @@ _COLOURS = (GREY, BLUE, VERMILLION, GREEN)
 
 def shaping_figure(found: Shaping, title: str = "") -> Figure:
     """The commands, and how far the tip is from its rest over time."""
-    figure = new_figure(9, 6.4, title or "A command, unshaped and shaped")
+    figure = new_figure(9, 6.4, title or "The command, unshaped and shaped")
     above, below = figure.subplots(2, 1, sharex=True)
     moved = np.ptp(found.rows[0].command.angles, axis=0)
     joint = int(np.argmax(moved))
@@ -615,7 +622,7 @@ def shaping_figure(found: Shaping, title: str = "") -> Figure:
         below.plot(row.times[UNTIL], row.distance[UNTIL], "o", color=colour, ms=5)
     below.axhline(_NEAR * found.travel, color=GREY, lw=0.8, ls=":")
     plain(above, "", "", f"command of joint {joint + 1} (deg)")
-    plain(below, "", "time (s)", "distance of the tip\nfrom its rest (m)")
+    plain(below, "", "time (s)", "distance of the tip\nfrom its final rest (m)")
     below.set_ylim(0, None)
     above.legend(fontsize=9, frameon=False)
     return figure

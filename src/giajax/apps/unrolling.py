@@ -317,8 +317,8 @@ def unroll(unrolling: Unrolling | None = None, *, limit: float = LIMIT) -> Unrol
     found = _tried(made, limit)
     if not bool(found.succeeded):
         raise InputError(
-            f"the simulation of the unrolling fails beyond {float(found.times[-1]):.3g} s, after "
-            f"{int(found.steps)} steps: give a larger film.loss, or less film.peel"
+            f"the simulation of the unrolling failed at {float(found.times[-1]):.3g} s, after "
+            f"{int(found.steps)} steps: increase film.loss, or reduce film.peel"
         )
     finished = bool(found.finished)
     # Steps that are longer than the time between two rows are in several of them.
@@ -400,8 +400,9 @@ def _check_unrolling(unrolling: Unrolling) -> None:
     strength = STRENGTHS[filling.supply.kind]
     if unrolling.by_gas and not float(get(filling, strength)) > 0:
         raise InputError(
-            f"gas is to unroll the arm, but {strength} = {float(get(filling, strength)):g} feeds "
-            'none: give a positive number, or the order "roll first"'
+            f"gas is to unroll the arm, but with {strength} = {float(get(filling, strength)):g} no "
+            "gas "
+            'flows: give a positive number, or the order "roll first"'
         )
     check_filling(filling)
     own = {each.path: each for group in (ROLL, FILM, HAND) for each in group}
@@ -412,20 +413,20 @@ def _check_unrolling(unrolling: Unrolling) -> None:
             check_within_bounds(parameter, float(parameter.value(unrolling)), free=not closed)
     if not float(roll.radius) > float(roll.core_radius):
         raise InputError(
-            f"the roll has a radius of {float(roll.radius) * 1e3:g} mm and its core one of "
-            f"{float(roll.core_radius) * 1e3:g} mm: give a roll that is larger than its core"
+            f"the radius of the roll is {float(roll.radius) * 1e3:g} mm, and the radius of its "
+            f"core {float(roll.core_radius) * 1e3:g} mm: give a roll larger than its core"
         )
     layer, films = float(unrolling.pitch), 2 * float(film.thickness)
     if layer < films:
         raise InputError(
-            f"a layer of the roll is {layer * 1e3:.3g} mm thick, but two films are "
+            f"a layer of the roll is only {layer * 1e3:.3g} mm thick, but two films are "
             f"{films * 1e3:.3g} mm: give a larger roll.radius, or a smaller film.thickness"
         )
     length = float(unrolling.length)
     if not float(roll.start) < length:
         raise InputError(
-            f"{float(roll.start):g} m are paid out at the beginning, but the arm has {length:g} m: "
-            "give less"
+            f"{float(roll.start):g} m are paid out at the start, but the arm is only {length:g} m "
+            "long: reduce the length paid out at the start"
         )
 
 
@@ -497,7 +498,7 @@ _SHOWN = {
     "peel": ("peel", VERMILLION),
     "loss": ("loss", PURPLE),
 }
-"""Forces that are drawn, by name; those of bending and of inertia are small."""
+"""Labels and colours of the forces in the figure; forces of bending and inertia are small."""
 
 
 def unrolling_figure(unrolled: Unrolled) -> Figure:
@@ -505,16 +506,18 @@ def unrolling_figure(unrolled: Unrolled) -> Figure:
     made = unrolled.unrolling
     by = "gas" if made.by_gas else "hand"
     end = f"after {unrolled.handed_over / _MINUTE:.1f} min" if unrolled.finished else "never"
-    figure = new_figure(9.0, 6.0, f"Unrolling {float(made.length):g} m by {by}: paid out {end}")
+    figure = new_figure(
+        9.0, 6.0, f"Unrolling {float(made.length):g} m by {by}: completely paid out {end}"
+    )
     minutes = unrolled.times / _MINUTE
     axes = figure.add_subplot(2, 2, 1)
     axes.plot(minutes, unrolled.paid_out, color=BLUE, linewidth=1.4)
-    plain(axes, "Length that is paid out", "time (min)", "m")
+    plain(axes, "Length paid out", "time (min)", "m")
     axes = figure.add_subplot(2, 2, 2)
     axes.plot(minutes, unrolled.speed * 1e3, color=BLUE, linewidth=1.2, label="roll")
     if made.by_gas:
         feeds = unrolled.flow / _area(unrolled) * 1e3
-        axes.plot(minutes, feeds, "--", color=INK, linewidth=0.9, label="flow over area")
+        axes.plot(minutes, feeds, "--", color=INK, linewidth=0.9, label="gas flow per area")
         axes.legend(fontsize=8, frameon=False)
     plain(axes, "Speed of the roll", "time (min)", "mm/s")
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
@@ -549,9 +552,9 @@ def _whole_course(axes: Axes, unrolled: Unrolled) -> None:
         times = np.append(times, unrolled.handed_over + filled.times)
         gas = np.append(gas, filled.supplied)
     axes.plot(times / _MINUTE, gas / full, color=BLUE, linewidth=1.4)
-    plain(axes, "Gas in the arm", "time (min)", "over what fills it")
+    plain(axes, "Gas in the arm", "time (min)", "relative to a full arm")
     axes.set_ylim(0, 1.3)
-    marks = {"filling begins": unrolled.handed_over, "the arm lifts itself": unrolled.arm_lift_off}
+    marks = {"filling begins": unrolled.handed_over, "arm lifts off": unrolled.arm_lift_off}
     for height, (said, when) in zip((1.22, 1.12), marks.items(), strict=True):
         if not np.isnan(when):
             axes.axvline(when / _MINUTE, color=INK, linewidth=0.8, linestyle="--")

@@ -31,14 +31,14 @@ Examples:
   giajax check --data run.csv
                             summarise a recording and check its values
   giajax init --data run.csv
-                            write a sidecar template for it
+                            write a sidecar template for the run
   giajax parameters         list the parameters, with unit and bounds
   giajax simulate --ramp 1=30 --to run.csv
                             simulate a run
-  giajax examples           list the runs and fit definitions that ship
+  giajax examples           list the supplied runs and fit definitions
   giajax joint --out DIR    one joint at rest: paths, forces, equilibria
   giajax fit --data run.csv
-                            fit drag, stiffness and damping to it
+                            fit drag, stiffness and damping to the run
   giajax report giajax-out/run
                             write a page: verdict, estimates, residuals
   giajax view giajax-out/run
@@ -72,7 +72,7 @@ Examples:
   giajax track run.csv --model giajax-out/run --wind 0,0.2,0 --out tracked
                             estimate the arm's motion from noisy measurements
   giajax wind --data resting.csv --wind 0,0.2,0
-                            fit mean flow and gusts to a resting arm
+                            fit mean flow and gusts to a recording at rest
   giajax fill --out DIR     fill 20 balloons with helium: fullness, lift
   giajax mission missions/naraha.toml
                             steer the tip through a 2 m opening by camera
@@ -84,8 +84,8 @@ Examples:
                             reproduce the paper's figures and tables
 
 A run is a CSV file with one column for each channel (such as time_s,
-joint01_command_deg or link06_z_m). A sidecar file of the same name with the ending
-.toml may describe the run."""
+joint01_command_deg or link06_z_m). A sidecar file of the same name with the
+extension .toml can describe the run."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -136,7 +136,7 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
 
 
 def _only_listed() -> None:
-    raise AssertionError("a command was called that was only to be listed")
+    raise AssertionError("internal error: this command has no implementation")
 
 
 def _show_version(asked: bool) -> None:

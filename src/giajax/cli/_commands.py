@@ -53,10 +53,10 @@ GROUPS = {
     "paper": "Paper",
     "other": "Other",
 }
-"""Titles of the groups of commands, in the order of the help."""
+"""Titles of the groups of commands, in the order used in the help."""
 
 OLD_FORMS_END = UNTIL
-"""How long old forms of the options work: as earlier names of Python do."""
+"""Date until which old forms of options work, the same as for earlier Python names."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,8 +119,10 @@ def argument(metavar: str, text: str) -> Any:
     return typer.Argument(metavar=metavar, help=text)
 
 
-_Formats = Annotated[Texts, "FORMAT", "Write pictures as svg or pdf, too.", "--format"]
-_Dpi = Annotated[int | None, "N", "Pixels of a picture per inch. [130]", 30, 2400]
+_Formats = Annotated[Texts, "FORMAT", "Also write the pictures as svg or pdf.", "--format"]
+_Dpi = Annotated[
+    int | None, "N", "Resolution of the pictures in pixels per inch. [default: 130]", 30, 2400
+]
 
 _PLUGINS = Parameter(
     "plugin",
@@ -129,7 +131,7 @@ _PLUGINS = Parameter(
     annotation=Annotated[
         Paths,
         "FILE.py",
-        "Import the laws, winds, losses, solvers, sensors or models that it registers.",
+        "Load a plug-in that registers laws, winds, losses, solvers, sensors or models.",
     ],
 )
 
@@ -165,6 +167,8 @@ def with_options(registered: Registered) -> Function:
             configure()  # before it imports Equinox, or makes an array
         for path in plugin or ():
             load_plugin(path)
+        if (formats or dpi) and given.get("figures") is False:
+            raise InputError("--no-figures draws nothing: omit it, or omit --format and --dpi")
         with pictures_as(formats or (), dpi):
             function(**given)
 
@@ -311,7 +315,7 @@ class Translation:
                 old, now = forms[form]
                 many = "" if form else f"{shown(self._word)} is an unexpected argument: "
                 raise InputError(
-                    f"{many}{old} is now {now}, and {new} is given, too: leave one out"
+                    f"{many}{old} is now {now}, but {new} is also given: omit one of them"
                 )
         self.notes = [
             f"note: {old} is now {now}; the old form works until {OLD_FORMS_END}"
@@ -499,7 +503,7 @@ def run(command: Any, arguments: list[str]) -> int:
         if out.error is not None:
             _say(
                 f"standard output cannot be written ({out.error.strerror}): the rest of the output "
-                "is lost, and the files that were written are complete",
+                "is lost, but all files that were written are complete",
                 BROKEN,
             )
             return status or BROKEN
@@ -528,7 +532,10 @@ def _ended(command: Any, arguments: list[str]) -> int:
         if isinstance(error, OSError) and isinstance(error.filename, str):
             # Its name is too long, another program took it away, or a disk is at fault.
             why = f"{error.filename} cannot be used ({error.strerror})"
-            return _say(f"{why}: give another path, or correct the file that names it", BAD_INPUT)
+            return _say(
+                f"{why}: give another path, or correct the path in the file that states it",
+                BAD_INPUT,
+            )
         return _say(_unexpected(error, arguments), BROKEN)
     # Without standalone mode typer returns the status of `typer.Exit`, else what the command did.
     return result if isinstance(result, int) else 0
@@ -548,7 +555,7 @@ def _unexpected(error: BaseException, arguments: list[str]) -> str:
         print(trace, end="", file=sys.stderr)
         why = f"which cannot be written to a file ({full.strerror})"
         return f"{what}: report it with the traceback above, {why}"
-    return f"{what}: report it with {path}, which has the traceback"
+    return f"{what}: report it with {path}, which contains the traceback"
 
 
 def _say(sentence: str, status: int) -> int:
@@ -561,7 +568,7 @@ def _usage(error: Any) -> str:
     # Click says two sentences where it has a suggestion, each with its capital.
     sentence = re.sub(r"(^|\. )([A-Z])", lambda m: (m[1] and ": ") + m[2].lower(), sentence)
     command = error.ctx.command_path if error.ctx is not None else "giajax"
-    return f"{sentence}; '{command} --help' lists what it accepts"
+    return f"{sentence}; '{command} --help' lists the options"
 
 
 # Options that many commands have, said once.
@@ -604,28 +611,28 @@ def _cell(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-Browser = Annotated[bool, "Open a browser, or only print the address."]
-Digits = Annotated[int, "N", "Number of significant digits in files.", 3, 17]
+Browser = Annotated[bool, "Open a browser, or only print the address of the page."]
+Digits = Annotated[int, "N", "Number of significant digits in the files.", 3, 17]
 Force = Annotated[bool, "Overwrite existing files."]
-Host = Annotated[str, "ADDRESS", "Address to listen on; 0.0.0.0: all interfaces."]
+Host = Annotated[str, "ADDRESS", "Address of the server; 0.0.0.0 for all interfaces."]
 Json = Annotated[bool, "--json", "Print JSON instead of tables."]
 Links = Annotated[int | None, "N", "Number of links."]
-OnlyChannels = Annotated[Texts, "CHANNEL", "Use only this channel, named without its unit."]
-Port = Annotated[int, "N", "Port to listen on; 0: any free port."]
+OnlyChannels = Annotated[Texts, "CHANNEL", "Use only this channel, named without the unit."]
+Port = Annotated[int, "N", "Port of the server; 0 for any free port."]
 Quiet = Annotated[bool, "Print errors only."]
 Replayed = Annotated[Path | None, "FILE", "Take commands and wind from this run."]
-Settings = Annotated[Texts, "PATH=VALUE", "A parameter's value.", "--set"]
+Settings = Annotated[Texts, "PATH=VALUE", "Value of a parameter.", "--set"]
 Solver = Annotated[str, "NAME", "Integration method, such as tsit5 or springs5."]
-Tolerance = Annotated[float, "TOL", "Tolerance of the integration."]
-ToRun = Annotated[Path, "RUN.csv", "File of the run to write."]
+Tolerance = Annotated[float, "TOL", "Tolerance of the numerical integration."]
+ToRun = Annotated[Path, "RUN.csv", "Output file for the run."]
 Wind = Annotated[str | None, "X,Y,Z", "Constant velocity of the air (m/s)."]
 
-Renamed = Annotated[Texts, "OLD=NEW", "Read column OLD of the files as NEW."]
+Renamed = Annotated[Texts, "OLD=NEW", "Read column OLD of the files as column NEW."]
 
 Cores = Annotated[
     int | None,
     typer.Option(
-        metavar="N", min=1, envvar=CORES_VARIABLE, help="Number of cores to use (all of them)."
+        metavar="N", min=1, envvar=CORES_VARIABLE, help="Number of cores to use. [default: all]"
     ),
 ]
 
@@ -673,7 +680,7 @@ def failed_simulation(options: str) -> Iterator[None]:
 def check_quiet(quiet: bool, *, written: Any, as_json: bool = False, by: str) -> None:
     """Refuse a command that would compute, and neither print nor write what it found."""
     if quiet and written is None and not as_json:
-        raise InputError(f"--quiet prints no table and no file is written: add {by}")
+        raise InputError(f"--quiet suppresses all tables, and no output file is given: add {by}")
 
 
 def say_progress(quiet: bool) -> Callable[[str], None] | None:
@@ -718,10 +725,10 @@ def origin(context: typer.Context) -> str:
     return " ".join(words)
 
 
-Workers = Annotated[int | None, "N", "Number of processes on this machine (1).", 1]
+Workers = Annotated[int | None, "N", "Number of processes on this machine. [default: 1]", 1]
 
 Scheduler = Annotated[
-    str | None, "ADDRESS", "Compute on a dask.distributed cluster: tcp://host:8786."
+    str | None, "ADDRESS", "Compute on the dask.distributed cluster at tcp://host:8786."
 ]
 
 STARTS = "starts"  # folder of a file for each start of a fit that workers do, beside its journal

@@ -30,13 +30,14 @@ Examples:
   giajax compare giajax-out/monday giajax-out/tuesday
                             test whether two fits agree to within their errors
   giajax compare giajax-out/white giajax-out/correlated --json
-                            the same as JSON
+                            print the comparison as JSON
   giajax compare giajax-out/a giajax-out/b giajax-out/c --page compare.html
-                            three fits, and a page with figures
+                            compare three fits, and write a page with figures
 
-RESULT is the folder of a fit, or its result.json. Differences are from the
-first result, in joint standard errors. BIC is shown where all were fitted to
-the same values with the same noise and loss; where not, a line says so.""",
+RESULT is the folder of a fit, or its result.json. Differences are relative to
+the first result, in combined standard errors. BIC is shown if all results were
+fitted to the same values with the same noise and loss; otherwise, a note states
+that they were not.""",
     group="fit",
     old={"--out": "--page"},
 )
@@ -103,16 +104,16 @@ _ENDS = {"not_converged": "NOT CONVERGED"}
     """\b
 Examples:
   giajax choose --data loops.csv
-                            validated on the last part of the loops
+                            validate on the last part of the loops
   giajax choose --data loops.csv --validation other.csv
-                            validated on another recording
+                            validate on another recording
   giajax choose --data loops.csv --only preisach --only bouc_wen
-                            only these two models
+                            compare only these two models
 
 The model with the smallest error on the held-out loops comes first; fits that did
 not converge come last, whatever their errors. AIC and BIC refer to the fitted
-part and are relative to the best model. A small difference in BIC with a large
-difference on the held-out loops indicates overfitting.""",
+part and are relative to the best model. A small difference in BIC combined
+with a large difference on the held-out loops indicates overfitting.""",
     group="fit",
     old={"--held-out": "--validation"},
 )
@@ -120,12 +121,12 @@ def choose(
     data: Annotated[list[Path], "RUN.csv", "A run to fit the models to."],
     validation: Annotated[Paths, "RUN.csv", "A run for validation."] = None,
     fraction: Annotated[
-        float, "F", "Without --validation: held-out fraction at the end of each run."
+        float, "F", "Fraction held out at the end of each run without --validation."
     ] = 0.3,
     only: Annotated[Texts, "NAME", "Compare only this model."] = None,
     rename: Renamed = None,
     as_json: Json = False,
-    quiet: Annotated[bool, "No progress."] = False,
+    quiet: Annotated[bool, "Do not print the progress."] = False,
 ) -> None:
     """Compare models of hysteresis on held-out loops.
 
@@ -167,17 +168,17 @@ def choose(
     """\b
 Examples:
   giajax report giajax-out/run
-                            report.html beside the result
+                            write report.html beside the result
   giajax report giajax-out/run --page for_the_group.html
-                            another file for the page
+                            write the page to another file
   giajax report giajax-out/run --data elsewhere/run.csv
-                            for a run file that was moved after the fit
+                            read a run file that was moved after the fit
 
 RESULT is the folder of a fit, or its result.json. The page is one file that
 opens without a network: verdict, parameters and their limits, recorded
 and fitted values, an animation of the arm, and the provenance.""",
     group="first",
-    page="File of the page (report.html beside the result).",
+    page="Output file for the page. [default: report.html beside the result]",
     old={"--out": "--page"},
 )
 def report(given: OnResult) -> None:

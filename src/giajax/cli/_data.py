@@ -38,8 +38,9 @@ Examples:
 
 \b
 Notes on implausible units, signs, labels, lost cells, glitches and constants
-come first. They are judged by magnitude; no file is changed.
-Exit status: 0; 2 bad input or usage; 3 with --strict, if implausible.""",
+come first. Values are judged by their magnitude; no file is changed.
+Exit status: 0 success; 2 bad input or usage; 3 with --strict, if a value is
+implausible.""",
     group="first",
     old_words="--data",
 )
@@ -47,7 +48,7 @@ def check(
     data: Annotated[Path, "RUN.csv", "The run, a .csv or .parquet file."],
     rename: Renamed = None,
     as_json: Json = False,
-    strict: Annotated[bool, "Exit with status 3 if something is implausible."] = False,
+    strict: Annotated[bool, "Exit with status 3 if any value is implausible."] = False,
 ) -> None:
     """Summarise a run and report implausible values.
 
@@ -119,7 +120,7 @@ def _row(channel: dict[str, Any]) -> list[Any]:
     """\b
 Example:
   giajax init --data run.csv
-                            write run.toml; edit it, then run
+                            write the sidecar run.toml; edit it, then run
                             giajax check --data run.csv""",
     group="data",
     old_words="--data",
@@ -186,9 +187,9 @@ def import_(
         Path,
         argument(
             "FILE",
-            "A table from DeepLabCut, SLEAP, anipose, Kinovea, Tracker, OptiTrack Motive or "
-            "phyphox, or one with column names of giajax, separated by commas, semicolons or "
-            "tabs; or a ROS 2 bag: a folder, .mcap or .db3 (pip install 'giajax[ros]').",
+            "A text file from DeepLabCut, SLEAP, anipose, Kinovea, Tracker, OptiTrack Motive or "
+            "phyphox, or with column names of giajax, separated by commas, semicolons or "
+            "tabs; or a ROS 2 bag: a folder, .mcap or .db3 (needs pip install 'giajax[ros]').",
         ),
     ],
     to: ToRun,
@@ -206,38 +207,38 @@ def import_(
         "HZ",
         "Frame rate of the film in frames per second; replaces the times in the file.",
     ] = None,
-    likelihood: Annotated[float, "P", "Leave points of lower likelihood empty."] = 0.6,
+    likelihood: Annotated[float, "P", "Treat points with a lower likelihood as missing."] = 0.6,
     unit: Annotated[
-        str | None, "UNIT", "Unit of lengths if the file does not state it: m, cm or mm."
+        str | None, "UNIT", "Unit of length if the file does not state it: m, cm or mm."
     ] = None,
     origin: Annotated[
         str | None,
         "U,V",
-        "Position of the coordinate origin in the image, from the upper left corner, for px "
-        "coordinates of Kinovea or Tracker that point upwards.",
+        "Position of the coordinate origin in the image (px from the upper left corner), for "
+        "pixel coordinates from Kinovea or Tracker with an upward vertical axis.",
     ] = None,
     axes: Annotated[
         str | None,
         "AXES",
-        "Axes of the base frame for the coordinates of the file: x,z for a film from the side, x,y "
-        "from above, x,z,-y for 3-D coordinates.",
+        "Axes of the base frame for the coordinates in the file: x,z for a side view, x,y "
+        "for a top view, x,z,-y for 3-D coordinates.",
     ] = None,
     flip: Annotated[
         Texts, "NAME", "Change the sign of an axis, such as z, or of a channel."
     ] = None,
-    time_unit: Annotated[str, "UNIT", "Unit of times in a Kinovea file: s or ms."] = "s",
-    offset: Annotated[float, "S", "Offset to add to the times of the file."] = 0.0,
-    from_time: Annotated[float | None, "S", "Leave out rows before this time of the file."] = None,
-    until: Annotated[float | None, "S", "Leave out rows after this time."] = None,
+    time_unit: Annotated[str, "UNIT", "Unit of time in a Kinovea file: s or ms."] = "s",
+    offset: Annotated[float, "S", "Offset added to the times in the file."] = 0.0,
+    from_time: Annotated[float | None, "S", "Omit rows before this time in the file."] = None,
+    until: Annotated[float | None, "S", "Omit rows after this time in the file."] = None,
     rename: Renamed = None,
     only: Annotated[
-        Texts, "NAME", "Read only this column or channel; tip* matches several."
+        Texts, "NAME", "Read only this column or channel; tip* matches several columns."
     ] = None,
     ignore: Annotated[Texts, "NAME", "Skip this column or channel."] = None,
     command: Annotated[
         Path | None,
         "FILE",
-        "A run with the commands, on the clock of the film, or with the points of another camera.",
+        "A run with the commands, on the same clock as the film, or with points of another camera.",
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -285,15 +286,17 @@ def import_(
     for name, column in measured.items():
         if not np.any(np.isfinite(column)):
             raise InputError(
-                f"{file} has no row in which {name} was found: leave it out, or lower --likelihood "
-                "if the file states likelihoods"
+                f"{name} was not found in any row of {file}: omit this point, or lower "
+                "--likelihood if the file contains likelihoods"
             )
     # Coordinates of a point are found together.
     found = {name.rpartition("_")[0]: np.isfinite(column) for name, column in measured.items()}
     count = len(next(iter(values.values())))
     if command is not None:
         if times is None:
-            raise InputError(f"{file} has no times: give --frame-rate, the rows per second")
+            raise InputError(
+                f"{file} contains no times: give the rows per second with --frame-rate"
+            )
         beside = read_beside(command)
         # A command of a bag holds until the next message.
         times, values = filmed_beside(times, values, beside, held=table.merged)
@@ -305,7 +308,7 @@ def import_(
         seen = sum(int(each.sum()) for each in found.values())
         shown = {column.quantity for columns in table.things.values() for column in columns}
         rows, cells = ("pictures", "points") if shown & {"pixel", "length"} else ("rows", "values")
-        what = f"{count} {rows}, {seen} {cells} found of {len(found) * count}"
+        what = f"{count} {rows}, {seen} of {len(found) * count} {cells} found"
     following = command_after("init", "--data", to)
     typer.echo(f"wrote {to}, from {table.program}: {what}; {following}")
 
@@ -319,21 +322,21 @@ _COPIED = (".csv", ".toml", ".md", ".txt", "")  # a licence has no suffix
 @command(
     """\b
 Examples:
-  giajax examples           list them
+  giajax examples           list all examples
   giajax examples --copy work
-                            copy all of them to a folder
+                            copy all examples to a folder
   giajax fit work/fits/base_step.toml
-                            fit one of them""",
+                            fit one of the examples""",
     group="data",
 )
 def examples(
-    copy: Annotated[Path | None, "DIR", "Copy all of them to this folder."] = None,
+    copy: Annotated[Path | None, "DIR", "Copy all examples to this folder."] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """List the runs, fits and missions that ship with giajax.
 
-    With --copy, copies them to a folder as a starting point.
+    With --copy, copies all examples to a folder as a starting point.
     """
     check_quiet(quiet, written=copy, by="--copy DIR")
     root = examples_root()
@@ -388,7 +391,7 @@ def _show_examples(root: Path) -> None:
     runs = [path for path in tables if path.with_suffix(".toml").exists()]
     headings = ["run", "driven", "rows", "seconds", "channels", "missing %"]
     print_table(headings, [_run(path, root) for path in runs], left=2)
-    print(f"\nThey are in {root}; to start from them: giajax examples --copy DIR")
+    print(f"\nThe examples are in {root}; to copy them: giajax examples --copy DIR")
 
 
 def _fit(path: Path, root: Path) -> list[str | None]:
@@ -427,11 +430,11 @@ def _files(root: Path) -> Iterator[Path]:
 @command(
     """\b
 Examples:
-  giajax cache              show its path, contents and size
-  giajax cache --clear      remove it; the next fit compiles again""",
+  giajax cache              show path, contents and size of the cache
+  giajax cache --clear      clear the cache; the next fit compiles again""",
     group="other",
 )
-def cache(clear: Annotated[bool, "Remove the programs in the folder."] = False) -> None:
+def cache(clear: Annotated[bool, "Remove the compiled programs from the cache."] = False) -> None:
     """Show or clear the cache of compiled programs.
 
     Each command reuses the programs for its model and data. A file from another version of giajax,
@@ -446,8 +449,8 @@ def cache(clear: Annotated[bool, "Remove the programs in the folder."] = False) 
     directory, stated = compilation_cache()
     if directory is None:
         typer.echo(
-            "there is no folder for the cache, so no programs are kept: set XDG_CACHE_HOME to a "
-            "writable folder"
+            "no folder is available for the cache, so no programs are kept: set XDG_CACHE_HOME to "
+            "a writable folder"
         )
         return
     traced = sorted((directory / PROGRAMS).glob(f"*{SUFFIX}"))
@@ -459,7 +462,7 @@ def cache(clear: Annotated[bool, "Remove the programs in the folder."] = False) 
                 path.unlink(missing_ok=True)
             except OSError as error:
                 raise InputError(
-                    f"{path} cannot be removed ({error.strerror}): remove the folder yourself"
+                    f"{path} cannot be removed ({error.strerror}): remove the folder manually"
                 ) from None
         typer.echo(f"{directory}: removed {len(removed)} of {len(traced) + len(compiled)} programs")
         return

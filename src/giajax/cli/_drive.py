@@ -57,7 +57,7 @@ def driven_arm(
         definition = definition_from_options(what, links, wind, quiet=quiet)
         return definition, ArmModel.stated_in(definition)
     if links is not None:
-        raise InputError("--links applies to an arm from a file, but a fit is given: leave it out")
+        raise InputError("--links applies to an arm from a file, but a fit is given: omit --links")
     from ..fitting import load_result
     from ..recordings import stored_result
 
@@ -65,7 +65,7 @@ def driven_arm(
     model = load_result(what).model
     if model.kind != ArmModel.kind:
         raise InputError(
-            f"{what} is a fit of the {model.kind} model, which cannot be driven: give the fit of "
+            f"{what} is a fit of the {model.kind} model, which cannot be driven: give a fit of "
             "an arm"
         )
     return definition_from_options(None, None, wind, quiet=quiet), cast("ArmModel", model)
@@ -136,11 +136,11 @@ def serve(
     cockpit = Cockpit(session, camera, host=host, port=port)
     try:
         ends = "ends the drive and saves it"
-        say_served(cockpit, "drives the arm", ends, browser=browser, quiet=quiet)
+        say_served(cockpit, "can drive the arm", ends, browser=browser, quiet=quiet)
         while not cockpit.wait(_KEPT_S):
             unfinished.add()
         if not cockpit.finished:
-            raise cockpit.failure or InputError(cockpit.error or "the drive is over")
+            raise cockpit.failure or InputError(cockpit.error or "the drive has ended")
     except KeyboardInterrupt:
         if not quiet:
             typer.echo("\nsaving the drive")
@@ -177,7 +177,9 @@ def save(
         ) from None
     unfinished.remove()
     if session.lost and not quiet:
-        typer.echo(f"the simulation was {session.lost:.1f} s behind the clock, which were left out")
+        typer.echo(
+            f"the simulation fell {session.lost:.1f} s behind real time, and this time was skipped"
+        )
 
 
 def _files(out: Path) -> tuple[Path, Path, Path]:
@@ -188,20 +190,20 @@ def _files(out: Path) -> tuple[Path, Path, Path]:
 @command(
     """\b
 Examples:
-  giajax drive              the paper's arm, in a browser
+  giajax drive              drive the paper's arm in a browser
   giajax drive giajax-out/run
-                            the arm of a fit
+                            drive the arm of a fit
   giajax drive my_arm.toml --gusts 0.3:5 --wind 0,0.2,0
-                            your arm, in gusts
+                            drive your arm in gusts
   giajax drive my_arm.toml --pad my_pad.toml --to monday.csv
-                            with your assignment of sticks and buttons
+                            use your assignment of sticks and buttons
   giajax drive --replay pad.csv --to again.csv
                             replay pad inputs as fast as possible
 
 WHAT is the folder of a fit, or the TOML file of an arm. Sticks bend the base and
-the tip, sliders and presets any joint. If the pad, the tab or the connection is
-lost, the arm holds its position. Ctrl-C ends the drive and saves it as a run that
-giajax fit reads. A pad file assigns sticks and buttons:
+the tip; sliders and presets move any joint. If the pad, the browser tab or the
+connection is lost, the arm holds its position. Ctrl-C ends the drive and saves it
+as a run that giajax fit can read. A pad file assigns sticks and buttons:
 
 \b
   [pad]
@@ -211,8 +213,8 @@ giajax fit reads. A pad file assigns sticks and buttons:
   presets = [{name = "up", joints = [1], angles_deg = [20], others_deg = 0}]
 
 \b
-A table of pad inputs has the columns time_s, axis0 (and axis1, and so on) and
-button0 (and so on). Each row applies until the next one.""",
+A table of pad inputs has the columns time_s, axis0 (axis1 and so on) and
+button0 (button1 and so on). Each row applies until the time of the next row.""",
     group="plan",
     old={"--out": "--to"},
 )
@@ -220,30 +222,32 @@ def drive(
     context: typer.Context,
     what: Annotated[Path | None, argument("WHAT", "See below.")] = None,
     pad: Annotated[
-        Path | None, "FILE.toml", "Assignment of the pad's sticks and buttons; see below."
+        Path | None, "FILE.toml", "File that assigns the sticks and buttons of the pad; see below."
     ] = None,
     replay: Annotated[
-        Path | None, "PAD.csv", "Replay a table of pad inputs, without a page."
+        Path | None, "PAD.csv", "Replay a table of pad inputs without opening a page."
     ] = None,
     links: Links = None,
-    pairs: Annotated[Texts, "PATH=VALUE", "A parameter.", "--set"] = None,
-    wind: Annotated[str | None, "X,Y,Z", "Mean velocity of the air (m/s)."] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "Value of a parameter.", "--set"] = None,
+    wind: Annotated[str | None, "X,Y,Z", "Mean wind velocity (m/s)."] = None,
     gusts: Annotated[
-        str | None, "I:L", "Gusts about --wind: intensity and length scale (m)."
+        str | None, "I:L", "Intensity and length scale (m) of gusts about --wind."
     ] = None,
     compensate: Annotated[
-        Path | None, "RESULT", "Fit of a joint's hysteresis, for compensation."
+        Path | None, "RESULT", "Fit of the hysteresis of a joint, used for compensation."
     ] = None,
-    no_memory: Annotated[bool, "Leave out the hysteresis of the joints."] = False,
-    latency: Annotated[float, "S", "Delay of the image of the camera at the tip."] = 0.2,
-    rate: Annotated[float, "HZ", "Poses a second."] = 30.0,
+    no_memory: Annotated[bool, "Simulate the joints without hysteresis."] = False,
+    latency: Annotated[float, "S", "Delay of the image from the camera at the tip."] = 0.2,
+    rate: Annotated[float, "HZ", "Number of poses per second."] = 30.0,
     steps: Annotated[int, "N", "Integration steps in each interval.", 1] = 1,
     to: Annotated[
-        Path | None, "RUN.csv", "File of the run to write. [drive-N.csv, next free N]"
+        Path | None,
+        "RUN.csv",
+        "Output file for the run. [default: drive-N.csv with the next free N]",
     ] = None,
-    channels: Annotated[Texts, "CHANNEL", "Channels to record, as in giajax simulate."] = None,
-    noise: Annotated[Texts, "KEY=VALUE", "Standard deviation of a key of [noise]."] = None,
-    every: Annotated[int, "N", "Record one row in N.", 1] = 3,
+    channels: Annotated[Texts, "CHANNEL", "Channel to record, named as in giajax simulate."] = None,
+    noise: Annotated[Texts, "KEY=VALUE", "Noise standard deviation for a key of [noise]."] = None,
+    every: Annotated[int, "N", "Record every N-th row.", 1] = 3,
     seed: Annotated[int, "N", "Seed of noise and gusts.", 0] = 0,
     host: Host = "127.0.0.1",
     port: Port = 0,
@@ -269,7 +273,7 @@ def drive(
     check_output_run(part, force=force)
     values = settings(pairs)
     if what is not None and not what.exists():
-        raise InputError(f"{what} does not exist: give the folder of a fit, or the file of an arm")
+        raise InputError(f"{what} does not exist: give the folder of a fit or the file of an arm")
     configure()
     import numpy as np
 
@@ -326,35 +330,39 @@ def drive(
     """\b
 Examples:
   giajax view giajax-out/run
-                            the fitted arm and the recorded markers
+                            show the fitted arm and the recorded markers
   giajax view giajax-out/a giajax-out/b
-                            two fits, side by side
+                            show two fits side by side
   giajax view run.csv --page run.html
-                            a page that plays without a server
-  giajax view my_arm.toml   an arm, with a slider for each joint
+                            write a page that plays without a server
+  giajax view my_arm.toml   show an arm with a slider for each joint
   giajax view tracked --truth true.csv
-                            a tracked arm with uncertainty bands
+                            show a tracked arm with uncertainty bands
   giajax view run.csv --no-browser --host 0.0.0.0 --port 8100
-                            for a browser on another machine
+                            serve a browser on another machine
 
 WHAT is a recorded or simulated run, the folder of a fit (or its result.json) or
-of a track, or the TOML file of an arm. TRUE.csv needs a sidecar with an [arm]. The
-server listens on this machine only unless --host is given. The page opens only by
+of a track, or the TOML file of an arm. TRUE.csv needs a sidecar with an [arm] section.
+The server listens on this machine only unless --host is given. The page opens only by
 its full address, which contains a token.""",
     group="first",
     old={"--out": "--page"},
 )
 def view(
     what: Annotated[list[Path], argument("WHAT", "See below.")],
-    data: Annotated[Paths, "RUN.csv", "New path of a fitted run that was moved."] = None,
-    run: Annotated[str | None, "NAME", "Which run to show of a fit to several (the first)."] = None,
+    data: Annotated[Paths, "RUN.csv", "New path of a fitted run whose file was moved."] = None,
+    run: Annotated[
+        str | None,
+        "NAME",
+        "Name of the run to show if the fit has several runs. [default: the first]",
+    ] = None,
     rename: Renamed = None,
     truth: Annotated[
-        Path | None, "TRUE.csv", "True angles of all joints, overlaid on the arm."
+        Path | None, "TRUE.csv", "File with the true angles of all joints, drawn over the arm."
     ] = None,
     overlay: Annotated[bool, "Overlay the arms instead of placing them side by side."] = False,
     page: Annotated[Path | None, "FILE.html", "Write a page that plays without a server."] = None,
-    dark: Annotated[bool, "Dark background for --page."] = False,
+    dark: Annotated[bool, "Use a dark background for --page."] = False,
     host: Host = "127.0.0.1",
     port: Port = 0,
     browser: Browser = True,
@@ -391,8 +399,8 @@ def view(
         found, overlay = [*found, posed(true, "truth")], True
     if len(found) > 1 and any(isinstance(each, Posable) for each in found):
         raise InputError(
-            "a TOML file without a motion must be the only argument: give one TOML file, or runs "
-            "and fits"
+            "a TOML file that states no motion must be the only argument: give one TOML file, or "
+            "runs and fits"
         )
     if page is not None:
         shows = [
@@ -406,7 +414,7 @@ def view(
         return
     viewer = Viewer(found, overlay=overlay, host=host, port=port)
     try:
-        say_served(viewer, "sees the page", "ends it", browser=browser, quiet=quiet)
+        say_served(viewer, "can see the page", "stops the server", browser=browser, quiet=quiet)
         while True:
             time.sleep(3600)
     except KeyboardInterrupt:

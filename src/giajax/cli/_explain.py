@@ -34,25 +34,27 @@ PAGE = "explain.html"
     """\b
 Examples:
   giajax explain --data run.csv --out why
-                            the effects in the run, into the folder why
+                            identify the effects in the run, and write to why
   giajax explain --data run.csv --out why --budget 15m --tries 1
-                            the best model within 15 minutes
+                            find the best model within 15 minutes
   giajax explain --data a.csv --data b.csv --validation c.csv
-                            of two runs, validated on a third one
+                            explain two runs, and validate on a third run
   giajax explain --data run.csv --free air.drag_coefficient --loss huber
-                            starting from a fit with other options
+                            start from a fit with other options
   giajax explain --resume why
-                            continue it after it was stopped
+                            continue a stopped explanation
 
-It makes the fit of `giajax fit`, tests the residuals, fits the first few suspects
-and keeps the best, removes effects that became superfluous, and repeats this.
+The command fits the model as `giajax fit` does, tests the residuals, fits the
+most likely suspects, keeps the best one, removes effects that are no longer
+needed, and repeats these steps.
 The steps are validated on the last fifth of each run, or on the --validation runs; the final
-model is fitted to all of --data. All other options are those of `giajax fit`.
+model is fitted to all runs of --data. All other options are those of `giajax fit`.
 
-DIR holds the final result as `giajax fit` writes it, explain.json with steps,
-parameters and models that fit nearly as well, explain.html, and each fit
-in DIR/fits. Ctrl-C and --budget end it and write the same files for the last step;
---resume DIR continues to the same steps, and --force starts again.
+DIR contains the final result in the format of `giajax fit`, explain.json with
+the steps, the parameters and the models that fit nearly as well, explain.html,
+and each fit in DIR/fits. After Ctrl-C or at the end of --budget, the same files
+are written for the last step; --resume DIR continues with the same steps, and
+--force starts again.
 
 \b
 Exit status: 0 the final fit converged; 1 it did not; 2 bad input or usage;
@@ -66,13 +68,15 @@ def explain(
     definition: Annotated[
         Path | None, argument("DEFINITION", "Fit definition; see giajax fit.")
     ] = None,
-    data: Annotated[Paths, "RUN.csv", "A run to explain; repeat it for several."] = None,
+    data: Annotated[Paths, "RUN.csv", "A run to explain."] = None,
     validation: Annotated[Paths, "RUN.csv", "A run for validation of the steps."] = None,
     rename: Renamed = None,
-    max_steps: Annotated[int | None, "N", "Largest number of steps (10).", 0] = None,
-    tries: Annotated[int | None, "N", "Number of suspects fitted at each step (3).", 1] = None,
+    max_steps: Annotated[int | None, "N", "Maximum number of steps. [default: 10]", 0] = None,
+    tries: Annotated[
+        int | None, "N", "Number of suspects fitted at each step. [default: 3]", 1
+    ] = None,
     resume: Annotated[Path | None, "DIR", "Continue the explanation in this folder."] = None,
-    out: Annotated[Path | None, "DIR", "Folder for the files (giajax-out/RUN-explained)."] = None,
+    out: Annotated[Path | None, "DIR", "Output folder. [default: giajax-out/RUN-explained]"] = None,
     force: Force = False,
     report: Annotated[bool, "Write explain.html."] = True,
     figures: Annotated[bool, "Draw figures of the result."] = True,
@@ -93,7 +97,7 @@ def explain(
     if resume is not None:
         if definition or data or validation or rename or force or out is not None or said:
             raise typer.BadParameter(
-                "--resume takes data and settings from the folder: leave out the others"
+                "--resume takes data and settings from the folder: omit the other options"
             )
         task, folder = _resumed(resume), resume
     else:
@@ -105,7 +109,7 @@ def explain(
             origin="the command line",
         )
         if not task.data:
-            raise typer.BadParameter("there is no data: give at least one run with --data RUN.csv")
+            raise typer.BadParameter("no data are given: give at least one run with --data RUN.csv")
         named = task.out
         folder = named.with_name(f"{named.name}-explained") if out is None else out
         task = task.on_top(out=folder)
@@ -116,7 +120,7 @@ def explain(
         try:
             check_page(folder / PAGE, force=force or resume is not None)
         except InputError as error:
-            raise InputError(f"{error}, or leave the page out with --no-report") from None
+            raise InputError(f"{error}, or omit the page with --no-report") from None
     configure()
     from ..fitting import Budget
     from ..report import report_page, write_result
@@ -158,7 +162,7 @@ def explain(
     if record.ended in ("budget", "interrupted"):
         # A first fit that was stopped is made anew.
         begun = (folder / FITS / FIRST).exists()
-        how = f"; to go on: {resumes('explain', folder)}" if begun else ""
+        how = f"; to continue: {resumes('explain', folder)}" if begun else ""
         typer.echo(f"giajax: {record.ending}{how}", err=True)
     if is_stopped():
         raise typer.Exit(stopped_status())
@@ -170,7 +174,9 @@ def _resumed(folder: Path) -> "FitTask":
     from ..tasks import FitTask
 
     if not (folder / FITS / FIRST).exists():
-        raise InputError(f"{folder} has no explanation to continue: give the folder of one")
+        raise InputError(
+            f"{folder} contains no explanation to continue: give the folder of an explanation"
+        )
     return FitTask.again(folder / FITS / FIRST, home=folder).on_top(out=folder)
 
 
@@ -185,13 +191,13 @@ def _begun(ready: Any, folder: Path, *, resumed: bool, force: bool, quiet: bool)
         return load_result(path)
     if path.exists() and not force:
         raise InputError(
-            f"{folder} holds an explanation: continue with {resumes('explain', folder)}, give "
-            "another --out, or --force to start again"
+            f"{folder} already has an explanation: continue with {resumes('explain', folder)}, "
+            "give another --out, or --force to start again"
         )
     if not force and any((folder / FITS).glob("*")):
         raise InputError(
-            f"{folder / FITS} holds files that do not belong to an explanation: give another "
-            "--out, or --force to write beside them"
+            f"{folder / FITS} contains files that do not belong to an explanation: give another "
+            "--out, or --force to keep these files and write into the same folder"
         )
     check_folder(folder, ready.runs, ready.setup.config, force=force)
     for old in (path, folder / JOURNAL, *(folder / FITS).glob("[0-9][0-9][0-9].json")):

@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 @command(
     """\b
 Examples:
-  giajax fill               the preset, as tables
+  giajax fill               fill the preset arm, and print tables
   giajax fill --out filling
-                            with files and figures
+                            also write files and figures
   giajax fill filling.toml --minutes 30 --out filling --force
-                            your filling; ports for a filling time of 30 min
+                            use your definition; compute ports for 30 min
   giajax fill --set ports.diameter=0.008 --no-curve --json
-                            another port, as JSON
+                            use another port diameter, and print JSON
 
 \b
-It writes
+With --out DIR, the command writes
   filling.json            times when each link is full and lifts itself
   filling.csv             fullness, pressure, lift and stiffness over time
   filling.png             the same as a figure
@@ -59,11 +59,11 @@ A definition is a TOML file with an [arm] and a [filling], such as
 )
 def fill(
     definition: Annotated[
-        Path | None, argument("DEFINITION", "File with [arm] and [filling].")
+        Path | None, argument("DEFINITION", "TOML file with [arm] and [filling] sections.")
     ] = None,
-    pairs: Annotated[Texts, "PATH=VALUE", "A parameter, SI.", "--set"] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "Value of a parameter in SI units.", "--set"] = None,
     minutes: Annotated[float, "MIN", "Filling time for the curve of port diameters."] = 23.0,
-    no_curve: Annotated[bool, "Do not compute that curve."] = False,
+    no_curve: Annotated[bool, "Do not compute the curve of port diameters."] = False,
     out: Annotated[Path | None, "DIR", "Folder for tables and figures."] = None,
     as_json: Json = False,
     force: Force = False,
@@ -132,10 +132,10 @@ def _show(filled: "Filled") -> None:
     headings = ["link", "full min", "lifts min", "fullness", "most Pa", "lift g", "N m^2"]
     print_table(headings, rows)
     if filled.finished:
-        typer.echo(f"\nfull after {filled.duration / 60:.2f} min")
+        typer.echo(f"\nthe arm is full after {filled.duration / 60:.2f} min")
     else:
         why = "the supply is too weak or holds too little gas"
-        typer.echo(f"\nnot full after {filled.times[-1] / 60:.0f} min: {why}")
+        typer.echo(f"\nthe arm is not full after {filled.times[-1] / 60:.0f} min: {why}")
     say_lift_off(filled.arm_lift_off)
     if filled.collapse is not None:
         typer.echo(f"note: {filled.collapse}")

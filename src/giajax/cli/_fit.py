@@ -97,7 +97,7 @@ class TimeLeft:
         seconds, sentence = self._estimate(number, now)
         if self.budget_s is not None and self.budget_s - (now - self._began) < seconds:
             seconds = max(self.budget_s - (now - self._began), 0.0)
-            sentence = "at most {left} left: then its budget ends the fit"
+            sentence = "at most {left} left until the budget ends the fit"
         if seconds < _WORTH_A_WORD_S:
             return None
         self._said = now
@@ -109,14 +109,14 @@ class TimeLeft:
             each = (self._start_times[-1] - self._start_times[0]) / (len(self._start_times) - 1)
             whole = each * (self.starts - len(self._start_times) + 1)
             return max(whole - (now - self._start_times[-1]), 0.0), (
-                f"about {{left}} left for the starts up to {self.starts}, at the pace of those "
-                "before"
+                f"about {{left}} left for the starts up to {self.starts}, estimated from the "
+                "previous starts"
             )
         steps = self.most - number + self.most * (self.starts - 1)
         each = statistics.median(self._steps)
         return steps * each, (
-            f"at most {{left}} left: {steps} steps of {time_in_words(each)}, of which most fits "
-            "need few"
+            f"at most {{left}} left: {steps} steps of {time_in_words(each)}; most fits need far "
+            "fewer steps"
         )
 
 
@@ -154,7 +154,7 @@ class Progress:
         if iteration.part != self._part:
             self._part = iteration.part
             rows = f"the first {100 * self._part:.2g} %" if self._part < 1 else "all"
-            _say(f"by {rows} of the rows:")
+            _say(f"fit to {rows} of the rows:")
         self._row([str(iteration.number), f"{iteration.cost:.6g}", *made, *values])
         if self._left is not None and (sentence := self._left.after(iteration.number)):
             _say(sentence)
@@ -187,7 +187,7 @@ class Progress:
             self._row(["", "", "", "", *row])
         self._row(["", "cost", "step", "taken", *last])
         if len(shown) < len(paths):
-            _say(f"(and {len(paths) - len(shown)} parameters for which the terminal is too narrow)")
+            _say(f"({len(paths) - len(shown)} more parameters do not fit into the terminal)")
 
     def _row(self, cells: list[str]) -> None:
         # Where not all parameters are shown there are fewer widths than cells.
@@ -200,12 +200,12 @@ _BEFORE, _GAP = (4, 11, 8, 5), 2  # widths of what is before the parameters, and
 
 def _in_windows(setup: "Setup") -> Progress:
     """The progress of a fit in windows, which only says where that of whole runs begins."""
-    _say(f"first in {len(setup.runs)} windows")
+    _say(f"first fit in {len(setup.runs)} windows")
     return Progress(setup)
 
 
 def _of_windows(result: "FitResult") -> None:
-    _say(f"in windows: {result.message}; whole runs from there")
+    _say(f"fit in windows: {result.message}; the fit of whole runs starts from this result")
 
 
 def write_or_print(result: "FitResult", runs: "Sequence[Run]", folder: Path) -> list[Path]:
@@ -233,7 +233,9 @@ def write_or_print(result: "FitResult", runs: "Sequence[Run]", folder: Path) -> 
             print(text, end="", file=stream, flush=True)
             if getattr(stream, "error", None) is None:
                 break
-        typer.echo("the fit is above, because its files could not all be written:", err=True)
+        typer.echo(
+            "the result is printed above because not all of its files could be written:", err=True
+        )
         raise
 
 
@@ -265,10 +267,10 @@ def show_diagnosis(result: "FitResult") -> None:
     from ..report import SUSPECT_HEADINGS, first_suspects, systematic_table
 
     if rows := first_suspects(result):
-        print("\nwhat the residuals suggest (giajax suspects lists all suspects):")
+        print("\neffects that the residuals suggest (giajax suspects lists all suspects):")
         print_table(SUSPECT_HEADINGS, rows)
     if any(error.stated for error in result.systematic):
-        print("\neffect of a fixed parameter's uncertainty, in standard errors:")
+        print("\neffect of the uncertainty of fixed parameters, in standard errors:")
         print_table(*systematic_table(result))
 
 
@@ -353,7 +355,7 @@ def run_fit(
             left = TimeLeft(settings.max_iterations, settings.starts, settings.budget_s)
             progress = Progress(ready.setup, left)
             if resume:
-                typer.echo(f"going on where {journal.path} ends", err=True)
+                typer.echo(f"continuing from the end of {journal.path}", err=True)
         try:
             result = ready.run(
                 stop_if_asked if progress is None else progress,
@@ -363,7 +365,7 @@ def run_fit(
             )
         except KeyboardInterrupt:
             if journal.is_begun:
-                _complain(f"the computed part is kept: {_go_on(task)}")
+                _complain(f"the computed part of the fit is kept: {_go_on(task)}")
             raise
         if progress is not None:
             # A line between the iterations and the table, where both are on one screen.
@@ -424,7 +426,7 @@ def run_fit(
 
 def _go_on(task: "FitTask", result: "FitResult | None" = None) -> str:
     """How a fit that was stopped is gone on with."""
-    how = f"to continue it: {resumes('fit', task.out)}"
+    how = f"to continue the fit: {resumes('fit', task.out)}"
     # A fit that had its iterations would end again at once.
     if result and result.status == "not_converged" and "budget_s" not in result.config:
         how += f" --max-iterations {2 * result.config['max_iterations']}"
@@ -446,56 +448,82 @@ _READERS: dict[str, Callable[[list[str]], Any]] = {
     **{name: partial(plain_settings, option=f"--{name}") for name in _NUMBERS},
     **{"prior": priors, "bounds": bounds, "tie": ties, "group": groups},
 }
-"""What reads the words of an option, where they are not the value itself."""
+"""Parsers of the options whose text differs from their value."""
 
 _SETTINGS = {"prior": "priors", "tie": "ties", "group": "groups"}
 _SETTINGS |= {"window": "window_s", "windows_first": "windows_first_s"}
-"""Names of settings whose option is called otherwise."""
+"""Settings whose option has a different name."""
 
 
 class Settings(TypedDict):
     """The options of `giajax.recordings.FitSettings`, which would take pydantic to import."""
 
-    free: Annotated[Texts, "PATH", "Fit this parameter instead of the default list."]
+    free: Annotated[Texts, "PATH", "Fit this parameter instead of the default parameters."]
     start: Annotated[Texts, "PATH=VALUE", "Initial value of a parameter."]
     fix: Annotated[Texts, "PATH=VALUE", "Fix a parameter at a value."]
     prior: Annotated[
-        Texts, "PATH=VALUE+-DEVIATION", "Prior of a parameter; PATH=VALUEx/FACTOR is log-normal."
+        Texts,
+        "PATH=VALUE+-DEVIATION",
+        "Normal prior of a parameter; PATH=VALUEx/FACTOR for a log-normal prior.",
     ]
-    bounds: Annotated[Texts, "PATH=LOW,HIGH", "Narrower bounds of a parameter."]
+    bounds: Annotated[Texts, "PATH=LOW,HIGH", "Narrower bounds for a parameter."]
     tie: Annotated[
-        Texts, "PATH=EXPRESSION", "Express a parameter by others: links.mass=links.mass[0]."
+        Texts,
+        "PATH=EXPRESSION",
+        "Express a parameter in terms of others: links.mass=links.mass[0].",
     ]
     per_run: Annotated[Texts, "PATH", "Fit a separate value for each run."]
     group: Annotated[Texts, "PATH=RUN,RUN", "Fit one value shared by these runs."]
     uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a fixed parameter."]
     nuisances: Annotated[
         bool | None,
-        "Fit the nuisance parameters of camera and arm with priors (default), or fix them.",
+        "Fit the nuisance parameters of camera and arm with priors, or fix them. [default: fit]",
         "--nuisances/--no-nuisances",
     ]
     channels: Annotated[
-        Texts, "CHANNEL", "Fit only this channel, named without its unit: link20_z."
+        Texts, "CHANNEL", "Fit only this channel, named without the unit: link20_z."
     ]
-    hold_out: Annotated[Texts, "NAME", "Hold out a run, a channel, or last (the last fifth)."]
-    window: Annotated[float | None, "S", "Split runs into windows with separate initial states."]
-    windows_first: Annotated[float | None, "S", "Fit these windows first, then whole runs."]
-    starts: Annotated[int | None, "N", "Number of initial guesses; the best fit is kept (1).", 1]
-    spread: Annotated[float | None, "X", "Relative spread of the other initial guesses (0.3)."]
-    seed: Annotated[int | None, "N", "Seed of the other initial guesses (0).", 0]
-    loss: Annotated[str | None, "NAME", "Loss; huber, soft_l1 or student_t for outliers (linear)."]
-    noise_model: Annotated[str | None, "NAME", "Noise model: correlated or white (correlated)."]
+    hold_out: Annotated[
+        Texts, "NAME", "Hold out a run, a channel, or the last fifth of each run (last)."
+    ]
+    window: Annotated[
+        float | None,
+        "S",
+        "Split the runs into windows of this length with separate initial states.",
+    ]
+    windows_first: Annotated[
+        float | None, "S", "First fit windows of this length, then whole runs."
+    ]
+    starts: Annotated[
+        int | None, "N", "Number of initial guesses; the best fit is kept. [default: 1]", 1
+    ]
+    spread: Annotated[
+        float | None, "X", "Relative spread of the other initial guesses. [default: 0.3]"
+    ]
+    seed: Annotated[int | None, "N", "Seed of the other initial guesses. [default: 0]", 0]
+    loss: Annotated[
+        str | None,
+        "NAME",
+        "Loss function; huber, soft_l1 or student_t for outliers. [default: linear]",
+    ]
+    noise_model: Annotated[
+        str | None, "NAME", "Noise model: correlated or white. [default: correlated]"
+    ]
     noise_per_run: Annotated[
         bool | None,
-        "Estimate the noise for each run, or for all (default).",
+        "Estimate the noise for each run, or jointly for all runs. [default: jointly]",
         "--noise-per-run/--noise-pooled",
     ]
-    solver: Annotated[str | None, "NAME", "Integration method, such as tsit5 (springs5)."]
+    solver: Annotated[str | None, "NAME", "Integration method, such as tsit5. [default: springs5]"]
     tolerance: Annotated[
-        float | None, "TOL", "Tolerance of the integration (chosen automatically)."
+        float | None,
+        "TOL",
+        "Tolerance of the numerical integration. [default: chosen automatically]",
     ]
-    max_iterations: Annotated[int | None, "N", "Largest number of trial steps (50).", 1]
-    budget: Annotated[str | None, "TIME", "End with the best result so far after 90s, 10m, 2h."]
+    max_iterations: Annotated[int | None, "N", "Maximum number of trial steps. [default: 50]", 1]
+    budget: Annotated[
+        str | None, "TIME", "Time limit such as 90s, 10m or 2h; the best result so far is kept."
+    ]
 
 
 def typed(given: Settings) -> "TaskKeywords":
@@ -521,7 +549,7 @@ def named_task(
     if again is not None:
         if definition is not None or has_data or resume is not None:
             raise typer.BadParameter(
-                "--again takes data and settings from the result: leave out the others"
+                "--again takes data and settings from the result: omit the other options"
             )
         return FitTask.again(again)
     if definition is not None:
@@ -535,38 +563,39 @@ def named_task(
     """\b
 Examples:
   giajax fit --data run.csv
-                            the default parameters of its model
+                            fit the default parameters of the model
   giajax fit --data run.csv --start air.drag_coefficient=0.8 --loss huber
-                            from another initial guess, with a robust loss
+                            use another initial guess and a robust loss
   giajax fit --data a.csv --data b.csv --fix joints.damping=0.05 --out both
-                            two runs, one parameter fixed
+                            fit two runs with one parameter fixed
   giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
-                            only these parameters
+                            fit only these parameters
   giajax fit --data run.csv --free links.mass --tie "links.mass=links.mass[0]"
-                            the same mass for all links
+                            fit the same mass for all links
   giajax fit --data a.csv --data b.csv --per-run camera.delay \\
       --prior camera.delay=0+-0.05 --bounds joints.damping=0.01,1
-                            a delay for each run, with a prior
+                            fit a delay for each run, with a prior
   giajax fit --data a.csv --data b.csv --hold-out b --strict
-                            validated on a held-out run
+                            validate on a held-out run
   giajax fit --data run.csv --hold-out last:0.3
-                            validated on the last 30 % of the run
+                            validate on the last 30 % of the run
   giajax fit definition.toml --force
-                            a fit definition
+                            run a fit definition
   giajax fit long.toml --budget 2h --cores 4
-                            the best result within two hours
+                            find the best result within two hours
   giajax fit long.toml --starts 100 --workers 4
-                            from 100 initial guesses, in four processes
+                            use 100 initial guesses and four processes
   giajax fit --resume giajax-out/long
                             continue a fit that was stopped
   giajax fit --again giajax-out/run/result.json
                             repeat the same fit
   giajax fit --data other.csv --from giajax-out/run
-                            another run, with a warm start
+                            fit another run with a warm start
 
 `giajax parameters` lists the names and units of parameters. A parameter with
 several elements takes one VALUE for all, or one for each: camera.origin=0.1,0,0.
-Table and summary go to standard output, progress to standard error.
+The table and the summary are printed to standard output, the progress to
+standard error.
 
 \b
 Exit status: 0 converged; 1 ended without convergence (the result is
@@ -576,7 +605,8 @@ interrupted, 143 SIGTERM, 129 terminal closed (the best point
 so far is written). A second Ctrl-C ends the program at once.
 
 DIR/journal.jsonl records every step. After a crash, Ctrl-C or the
-end of a budget, --resume DIR continues from there and gives the same result.
+end of a budget, --resume DIR continues from the last step and gives the same
+result.
 With --workers or --scheduler, other processes fit the remaining initial guesses
 after the first one has converged.""",
     group="first",
@@ -588,7 +618,7 @@ def fit(
     definition: Annotated[
         Path | None, argument("DEFINITION", "Fit definition, a TOML file.")
     ] = None,
-    data: Annotated[Paths, "RUN.csv", "A run to fit; repeat it for several."] = None,
+    data: Annotated[Paths, "RUN.csv", "A run to fit."] = None,
     rename: Renamed = None,
     begin: Annotated[
         Path | None, "RESULT", "Warm start from the result of another fit.", "--from"
@@ -600,14 +630,18 @@ def fit(
     resume: Annotated[
         Path | None, "DIR", "Continue the fit whose journal is in this folder."
     ] = None,
-    out: Annotated[Path | None, "DIR", "Folder for the result (giajax-out/RUN)."] = None,
+    out: Annotated[
+        Path | None, "DIR", "Output folder for the result. [default: giajax-out/RUN]"
+    ] = None,
     force: Force = False,
     as_json: Json = False,
     strict: Annotated[bool, "Exit with status 3 if the model does not fit the data."] = False,
     quiet: Quiet = False,
     suspects: Annotated[bool, "Test fixed and omitted parameters after the fit."] = True,
     figures: Annotated[bool, "Draw figures of the result."] = True,
-    self_test: Annotated[bool, "Check the standard errors by fits with new noise."] = False,
+    self_test: Annotated[
+        bool, "Check the standard errors by repeated fits with new noise."
+    ] = False,
     report: Annotated[bool, "Also write report.html."] = False,
     **settings: Unpack[Settings],
 ) -> None:
@@ -631,12 +665,12 @@ def fit(
         origin="the command line",
     )
     if not task.data:
-        where = f"{task.source} names no data" if task.source else "there is no data"
+        where = f"{task.source} states no data" if task.source else "no data are given"
         raise typer.BadParameter(f"{where}: give at least one run with --data RUN.csv")
 
     if resume is not None and task.out.resolve() != resume.resolve():
         if out is not None:
-            raise typer.BadParameter("a resumed fit continues in its folder: leave out --out")
+            raise typer.BadParameter("a resumed fit continues in its folder: omit --out")
         task = task.on_top(out=resume)
     raise typer.Exit(
         run_fit(

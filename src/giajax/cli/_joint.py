@@ -34,21 +34,21 @@ _ANGLES = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
 @command(
     """\b
 Examples:
-  giajax joint --out joint  the preset, as figures and tables
+  giajax joint --out joint  draw the preset, and write tables
   giajax joint --out joint --torque 0.5 --angle 45 --angle 0 --angle -45
-                            with another torque, drawn at three angles
+                            use another torque, and draw three angles
   giajax joint joint.toml --out joint --target-angle 30
-                            your joint, and the pressures for 30 deg
+                            use your joint; compute pressures for 30 deg
   giajax joint --out joint --set alpha.offset=0.05 --force
-                            with another parameter value
+                            use another parameter value
   giajax joint --out joint --set neck.radius=0.06 --force
-                            with a film neck that bends and folds
+                            add a film neck that bends and folds
 
 \b
-It writes
+The command writes
   fig09.png, fig09.csv    contraction and force, without corrections
   fig10.png, fig10.csv    the same with alpha and beta
-  corrections.png, .csv   alpha and beta, as read and as printed (an erratum)
+  corrections.png, .csv   alpha and beta, as corrected and as printed
   joint.png, points.csv   the joint at a few angles, and its marked points
   equilibria.png, .csv    equilibria for two pressures, and their stiffness
 
@@ -60,10 +60,10 @@ DEFINITION is a TOML file with [joint] and [muscle] sections, such as the sideca
 def joint(
     out: Annotated[Path, "DIR", "Folder for figures and tables."],
     definition: Annotated[
-        Path | None, argument("DEFINITION", "File with [joint] and [muscle].")
+        Path | None, argument("DEFINITION", "TOML file with [joint] and [muscle] sections.")
     ] = None,
     pairs: Annotated[
-        Texts, "PATH=VALUE", "Value of a joint or muscle parameter, SI.", "--set"
+        Texts, "PATH=VALUE", "Value of a joint or muscle parameter in SI units.", "--set"
     ] = None,
     torque: Annotated[float | None, "N_M", "Torque on the joint. [default: 0.3]"] = None,
     angle: Annotated[list[float] | None, "DEG", "Draw the joint at this angle."] = None,
@@ -91,7 +91,7 @@ def joint(
     check_output_folder(out, JOINT_FILES, force=force)
     pair = _pair(sections, values, torque)
     if not quiet:
-        typer.echo("drawing, and solving for every equilibrium ...", err=True)
+        typer.echo("drawing figures, and computing all equilibria ...", err=True)
     write_folder(out, joint_files(pair, angles, target_angle), force=force)
     if not quiet:
         _show(pair, target_angle)
@@ -112,8 +112,8 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
     }
     for key in (key for key, is_there in unused.items() if is_there):
         raise InputError(
-            f"[muscle] {key} is not used here: the length is muscle_length_m of [joint], and "
-            "a pair has no friction: remove it"
+            f"[muscle] {key} is not used here, because the length is muscle_length_m of [joint] "
+            "and a pair of muscles has no friction: remove this key"
         )
     pair = JointPair(joint_from_section(sections), MuscleModel.from_section(muscle).muscle)
     if torque is not None and not 0 < torque < math.inf:
@@ -125,7 +125,9 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
     pair = with_settings(pair, values)
     alone = next((path for path in typed if path.startswith("neck.")), None)
     if alone is not None and pair.neck.radius is None:
-        raise InputError(f"--set {alone}: the joint has no neck; set neck.radius, too")
+        raise InputError(
+            f"--set {alone} has no effect on a joint without a neck: also set neck.radius"
+        )
     check_geometry(pair.joint.geometry)
     return pair
 
@@ -159,18 +161,18 @@ def _show(pair: Any, target: float) -> None:
         if is_there:
             print(f"the torque also drives the joint against its stop at {end} deg")
     if rests.indifferent:
-        print("no torque acts on the joint in a range of angles: each of them is an equilibrium")
+        print("no torque acts on the joint in a range of angles, so each angle is an equilibrium")
 
 
 @command(
     """\b
 Examples:
   giajax fit --data loop.csv --out loop
-                            a fit to invert
+                            fit the model to invert
   giajax compensate loop --target target.csv --to command.csv
-                            commands from its inverse
+                            compute commands from the inverse of the fit
   giajax compensate --loop loop.csv --travel 40 --target target.csv \\
-      --to command.csv      commands from a measured loop, without a fit
+      --to command.csv      use a measured loop instead of a fit
 
 target.csv has a column for the target angle (angle_deg) or output, and optionally one for
 the time. The output predicted by the fitted model is written beside the commands.""",
@@ -207,7 +209,9 @@ def compensate(
             "there must be exactly one source of commands: give either a fit, or --loop with a run"
         )
     if travel is not None and loop is None:
-        raise typer.BadParameter("--travel is only used with --loop: give both, or leave it out")
+        raise typer.BadParameter(
+            "--travel is only used with --loop: give both options, or omit --travel"
+        )
     if travel is not None and not 0 < travel < math.inf:
         raise typer.BadParameter(f"--travel is {travel:g}: give a positive number")
     from ..recordings import Definition, Run, check_output_run, parse_rename, read_run, write_run
@@ -245,7 +249,7 @@ def compensate(
         run = Run.from_arrays(plan.times, blank, definition=definition)
         values[name] = predict(fitted, run)[name]
         units[name] = goal.unit
-        origin += f"; {name} is what the fitted model predicts"
+        origin += f"; {name} contains the prediction of the fitted model"
     definition = definition.merged_with(Definition.parse({"origin": origin}))
     write_run(
         to, plan.times, values, units=units, definition=definition, digits=digits, force=force

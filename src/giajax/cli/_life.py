@@ -33,21 +33,21 @@ _PAGE = "life.html"
     """\b
 Examples:
   giajax life missions/naraha.toml --out life
-                            all phases, with files and a page that plays them
+                            simulate all phases; write files and a page
   giajax life missions/naraha.toml --set supply.flow=0.0005 --no-page
-                            with half the gas flow, as a table
+                            use half the gas flow; print a table
   giajax life missions/naraha.toml --seed 4 --json
-                            with other gusts, as JSON
+                            use other gusts; print JSON
 
 \b
-It writes
+With --out DIR, the command writes
   life.json, life.csv     each phase: time, gas, lift, margin, energy
   life.png                gas, pressures and work as a figure
   life.html               a page that plays all phases
   run.csv, run.toml       the mission as a run
 
-The file is that of giajax mission. Other values of the roll and of the gas
-are set in its [unrolling] and [filling].""",
+MISSION is a file as for giajax mission. The sections [unrolling] and [filling]
+of this file set the properties of the roll and of the gas supply.""",
     group="arm",
     pictures=True,
 )
@@ -55,7 +55,7 @@ def life(
     context: typer.Context,
     file: Annotated[Path, argument("MISSION", "Mission file, as for giajax mission.")],
     seed: Annotated[int, "N", "Seed of gusts and pixel noise.", 0] = 0,
-    pairs: Annotated[Texts, "PATH=VALUE", "A parameter, SI.", "--set"] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "Value of a parameter in SI units.", "--set"] = None,
     out: Annotated[Path | None, "DIR", "Folder for tables, a figure and a page."] = None,
     no_page: Annotated[bool, "Do not write the page."] = False,
     as_json: Json = False,
@@ -141,21 +141,21 @@ def _show(life: "Life") -> None:
     headings = ["phase", "min", "fed g", "out g", "lift g", "margin N", "link", "touched"]
     print_table([*headings, "in J", "out J", "stored J"], rows)
     outcome = life.outcome
-    how = f"not inside: {outcome.reason}"
+    how = f"the tip is not inside: {outcome.reason}"
     if outcome.reached is not None:
-        how = f"inside after {outcome.reached:.1f} s of the mission"
-    typer.echo(f"\n{how}; {life.duration / 60:.1f} min in all")
+        how = f"the tip is inside after {outcome.reached:.1f} s of the mission"
+    typer.echo(f"\n{how}; total duration {life.duration / 60:.1f} min")
     _, _, feed, _, mission, *_ = life.phases
     fed = f"after feeding for another {feed.end - feed.begin:.1f} s"
-    holds = f"every link withstands the {life.pull:.1f} N of a muscle at its limit {fed}"
+    holds = f"every link withstands the maximum pull of a muscle ({life.pull:.1f} N) {fed}"
     if mission.margin < 0:
-        holds += f", but in the mission link {mission.weakest} is short of it"
+        holds += f", but during the mission link {mission.weakest} does not withstand it"
     typer.echo(holds)
     typer.echo(
-        f"imbalance: helium {life.helium:.1e} of what fills the arm, energy "
-        f"{life.energy_imbalance:.1e} of what was exchanged, momentum {life.momentum_imbalance:.1e}"
+        f"relative imbalance: helium {life.helium:.1e} (of the filled arm), energy "
+        f"{life.energy_imbalance:.1e} (of the exchange), momentum {life.momentum_imbalance:.1e}"
     )
     typer.echo(
-        "the balances of the mission are from a repeated simulation, whose angles agree within "
-        f"{life.apart:.1e} rad"
+        "the balances of the mission are from a repeated simulation, which gives the same angles "
+        f"within {life.apart:.1e} rad"
     )

@@ -58,17 +58,17 @@ def tell(
     if not mission.enters and math.isfinite(outcome.swing):
         away = mission.opening.centre - outcome.station
         typer.echo(
-            f"\ntip within {outcome.swing:.2f} m (root mean square about its mean, "
-            f"{float(sum(away**2)) ** 0.5:.2f} m from the opening; second half of "
-            f"{outcome.times[-1]:.0f} s), in air of {wind:g} m/s"
+            f"\nroot mean square motion of the tip {outcome.swing:.2f} m about a mean position "
+            f"{float(sum(away**2)) ** 0.5:.2f} m from the opening (second half of "
+            f"{outcome.times[-1]:.0f} s), in a wind of {wind:g} m/s"
         )
     elif outcome.reached is None:
         typer.echo(
-            f"\nnot inside after {outcome.times[-1]:.0f} s in air of {wind:g} m/s: "
-            f"{outcome.reason} (nearest {outcome.nearest:.2f} m)"
+            f"\nthe tip is not inside after {outcome.times[-1]:.0f} s in a wind of {wind:g} m/s: "
+            f"{outcome.reason} (smallest distance {outcome.nearest:.2f} m)"
         )
     else:
-        typer.echo(f"\ninside after {outcome.reached:.1f} s, in air of {wind:g} m/s")
+        typer.echo(f"\nthe tip is inside after {outcome.reached:.1f} s in a wind of {wind:g} m/s")
     if out is not None:
         typer.echo(f"wrote {shlex.quote(str(out))}; {command_after('view', out / 'run.csv')}")
 
@@ -104,7 +104,7 @@ def tell_cases(
     ]
     headings = ["m/s", "inside", "median s", "touched", "flattened mm", "why not"]
     print_table(headings, rows)
-    typer.echo(f"\n{cases.seconds:.2f} s for each")
+    typer.echo(f"\ncomputing time {cases.seconds:.2f} s per mission")
     if out is not None:
         say_written(out, CASES_FILES)
 
@@ -120,37 +120,37 @@ _RANGE = "0,0.6"  # of a recording
     """\b
 Examples:
   giajax mission missions/naraha.toml
-                            once, with the wind of the file
+                            fly once in the wind of the file
   giajax mission missions/naraha.toml --speed 0.3 --seed 4 --out flown
-                            with another wind, with files and a run
+                            use another wind, and write files and a run
   giajax mission missions/naraha.toml --controller mpc
-                            by model predictive control
+                            use model predictive control
   giajax mission missions/naraha.toml --controller mpc --keep-station 300
-                            hold the tip before the opening for 300 s
+                            hold the tip in front of the opening for 300 s
   giajax mission missions/naraha.toml --page flown.html
-                            with a page that plays it
+                            write a page that plays the mission
   giajax view flown/run.csv
-                            the run in a browser
+                            show the run in a browser
   giajax mission missions/naraha.toml --cases 100 --speeds 0,0.1,0.2,0.3
-                            success rate against wind speed
+                            compute the success rate against the wind speed
   giajax mission missions/naraha.toml --from-recording resting.csv
-                            probability of success in the wind estimated
-                            from a minute of the resting arm
+                            estimate the probability of success from a
+                            recording of the arm at rest
   giajax mission missions/naraha.toml --case 17 --speed 0.3 --out flown
-                            repeat one of those missions
+                            repeat one of the missions of --cases
 
 \b
-It writes
+With --out DIR, the command writes
   mission.json, mission.png   time of entry, contacts and path of the tip
   run.csv, run.toml           commands, wind and tip as a run
-or for many missions
+or, for many missions,
   cases.json, cases.csv, cases.png
                               success rate and time against the wind
-or from a recording
+or, with a recording,
   certificate.json, certificate.csv, certificate.png
-                              the probability, and the missions it is from
+                              probability, and the missions it is based on
 
-The file describes an arm with [[arm.obstacles]], a [camera.NAME] at its tip, and
+MISSION is a file with an arm, [[arm.obstacles]], a [camera.NAME] at the tip, and
 
 \b
   [mission]
@@ -158,7 +158,7 @@ The file describes an arm with [[arm.obstacles]], a [camera.NAME] at its tip, an
   [mission.operator]
   latency_s = 0.4
   approach = {joints = [1, 3], angles_deg = [-20.0, -30.0]}
-  [mission.spread]            # of --cases, by parameter
+  [mission.spread]            # for --cases, by parameter
   "joints.damping" = 0.5""",
     group="plan",
     pictures=True,
@@ -166,34 +166,38 @@ The file describes an arm with [[arm.obstacles]], a [camera.NAME] at its tip, an
 def mission(
     context: typer.Context,
     file: Annotated[Path, argument("MISSION", "Mission file; see below.")],
-    speed: Annotated[float | None, "M/S", "Wind speed, instead of the file's."] = None,
-    seed: Annotated[int, "N", "Seed of gusts and pixel noise; of --cases the first.", 0] = 0,
-    case: Annotated[int | None, "N", "Repeat one of --cases, named by its seed.", 0] = None,
+    speed: Annotated[float | None, "M/S", "Wind speed. [default: from the file]"] = None,
+    seed: Annotated[
+        int, "N", "Seed of gusts and pixel noise; with --cases, the first seed.", 0
+    ] = 0,
+    case: Annotated[int | None, "N", "Repeat the mission of --cases with this seed.", 0] = None,
     controller: Annotated[str, "NAME", "Controller: operator or mpc."] = "operator",
     keep_station: Annotated[
-        float | None, "S", "Hold the tip before the opening for this time."
+        float | None, "S", "Hold the tip in front of the opening for this time."
     ] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "Value of an arm parameter.", "--set"] = None,
     resting_run: Annotated[
         Path | None,
         "RUN.csv",
-        "Probability of success, from a run of the arm at rest.",
+        "Estimate the probability of success from a recording of the arm at rest.",
         "--from-recording",
     ] = None,
     cases: Annotated[
         int | None,
         "N",
-        "Number of missions: at each of --speeds, or [200] with --from-recording.",
+        "Number of missions: for each wind speed, or in total with --from-recording (default 200).",
         1,
     ] = None,
     speeds: Annotated[
         str | None,
         "M/S,M/S",
-        f"Wind speeds. [for --cases {_SPEEDS}; between {_RANGE} for --from-recording]",
+        f"Wind speeds. [default: {_SPEEDS} for --cases, the range {_RANGE} for --from-recording]",
     ] = None,
     out: Annotated[Path | None, "DIR", "Folder for tables and figures."] = None,
     as_json: Json = False,
-    page: Annotated[Path | None, "FILE.html", "File of a page that plays the mission."] = None,
+    page: Annotated[
+        Path | None, "FILE.html", "Output file for a page that plays the mission."
+    ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -227,7 +231,7 @@ def mission(
     other = next((option for option, given in many if given is not None), None)
     for option, given in alone:
         if given is not None and other is not None:
-            raise InputError(f"{option} applies to a single mission: leave {other} out")
+            raise InputError(f"{option} applies to a single mission: omit {other}")
     if page is not None:
         check_output_files([page], force=force)
     values = settings(pairs)
@@ -321,8 +325,8 @@ def tell_certificate(
         write_folder(out, certificate_files(mission, found, **origin), force=force)
     if found.unlike and not quiet:
         typer.echo(
-            "note: the recording is unlike any of the drawn arms at rest: the arm is another than "
-            "the file says, or the air is stronger than --speeds: do not rely on the chance",
+            "note: the recording resembles none of the simulated arms at rest, because the arm "
+            "differs from the file or the wind exceeds --speeds: do not rely on the probability",
             err=True,
         )
     if as_json:
@@ -333,10 +337,10 @@ def tell_certificate(
     least, middle, most = found.air
     inside = sum(case.reached is not None for case in found.near)
     typer.echo(
-        f"{inside} of the {len(found.near)} missions with the most similar rest, of "
-        f"{len(found.cases)}, came in; their air: median {middle:.2f} m/s, least {least:.2f}, "
+        f"{inside} of the {len(found.near)} missions with the most similar motion at rest (of "
+        f"{len(found.cases)}) are successful; wind: median {middle:.2f} m/s, smallest {least:.2f}, "
         f"largest {most:.2f}\n\n"
-        f"chance to be inside within {mission.section.limit_s:g} s: {100 * found.chance:.0f} % "
+        f"probability of success within {mission.section.limit_s:g} s: {100 * found.chance:.0f} % "
         f"(95 %: {low:.0f} to {high:.0f} %)"
     )
     if out is not None:
@@ -346,7 +350,7 @@ def tell_certificate(
 def _check_all_flown(done: int, whole: int) -> None:
     """Leave with the status of Ctrl-C where that ended the flights."""
     if done < whole:
-        typer.echo(f"stopped after {done} of {whole}", err=True)
+        typer.echo(f"stopped after {done} of {whole} missions", err=True)
         raise typer.Exit(130)
 
 

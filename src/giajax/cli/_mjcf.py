@@ -25,20 +25,25 @@ Examples:
   giajax mjcf giajax-out/run --to arm
                             the arm of a fit
 
-A MuJoCo file is converted to the [arm] of a sidecar; an arm, or a fit of one, to a folder:
+A MuJoCo file is converted to the [arm] section of a sidecar; an arm, or a fit
+of an arm, is converted to a folder with the files
 
 \b
   arm.xml                 the chain
   air.py, air.json        the air forces as passive forces; see air.py
 
-Needs pip install 'giajax[mujoco]'.""",
+This command needs pip install 'giajax[mujoco]'.""",
     group="arm",
     old={"--out": "--to"},
 )
 def mjcf(
-    source: Annotated[Path, argument("SOURCE", "MJCF, URDF, the TOML of an arm, or a fit.")],
+    source: Annotated[
+        Path, argument("SOURCE", "MJCF or URDF file, TOML file of an arm, or fit of an arm.")
+    ],
     diameter: Annotated[float | None, "M", "Link diameter for a file without geoms."] = None,
-    to: Annotated[Path | None, "PATH", "TOML file or folder to write. [standard output]"] = None,
+    to: Annotated[
+        Path | None, "PATH", "Output file (TOML) or folder. [default: standard output]"
+    ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -47,7 +52,9 @@ def mjcf(
     MJCF output includes a Python file for the air forces. Features that are lost are reported.
     """
     if not source.exists():
-        raise InputError(f"{source} does not exist: give MJCF, URDF, an arm's TOML, or a fit")
+        raise InputError(
+            f"{source} does not exist: give an MJCF or URDF file, the TOML file of an arm, or a fit"
+        )
     configure()
     from ..apps.mjcf import export_mjcf, read_mjcf
     from ..models import arm_to_definition, parameter_values
@@ -70,7 +77,7 @@ def mjcf(
         if to is None:
             raise InputError("the conversion writes three files: give --to FOLDER")
         if diameter is not None:
-            raise InputError("--diameter applies to MuJoCo files only: leave it out")
+            raise InputError("--diameter applies to MuJoCo files only: omit --diameter")
         arm = driven_arm(source, None, None, quiet=quiet)[1].arm
         files, lost = export_mjcf(arm)
         contents = {name: text.encode() for name, text in files.items()}

@@ -54,7 +54,7 @@ def definition_of(path: Path | None) -> "Definition":
 
 
 DOUBTED = ("inadequate", "doubtful")
-"""Verdicts of a fit on whose numbers nothing should rest."""
+"""Verdicts that mark the estimates of a fit as unreliable."""
 
 
 def say_doubts(path: Path | None, what: str, *, quiet: bool) -> None:
@@ -66,8 +66,8 @@ def say_doubts(path: Path | None, what: str, *, quiet: bool) -> None:
     verdict = stored_result(path)[1].get("verdict") or {}
     if verdict.get("status") in DOUBTED:
         typer.echo(
-            f"note: the model of {path} is {verdict['status']} according to the verdict of its "
-            f"fit, so {what} may be wrong: see giajax report {shlex.quote(str(path))}",
+            f"note: according to its verdict, the fit {path} is {verdict['status']}, so "
+            f"{what} may be wrong: see giajax report {shlex.quote(str(path))}",
             err=True,
         )
 
@@ -108,29 +108,31 @@ _FEW = 3  # an array of more elements is shown by its range
 @command(
     """\b
 Examples:
-  giajax parameters         the paper's arm
+  giajax parameters         list the parameters of the paper's arm
   giajax parameters --data joint.csv
-                            the model of a run
+                            use the model of a run
   giajax parameters --preset takeichi_20m_full
-                            another preset
+                            use another preset
   giajax parameters --arm my_arm.toml
-                            your own arm
-  giajax parameters --json  as JSON
+                            use your own arm
+  giajax parameters --json  print JSON
   giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
-                            fit some of them
+                            fit some of the parameters
 
-value: from the preset, the file or the sidecar of the run, or else the
-default. 'off': left out of the model; --start or --free of a fit
-switches it on with the listed value. An array has one element for each link
-or joint; links.mass[0] is its first part of a path.
-'assumed': the paper gives no value; estimate it by a fit.""",
+Each value is taken from the preset, the file or the sidecar of the run, or is the
+default. 'off': the parameter is omitted from the model; --start or --free of a
+fit switches it on with the listed value. An array has one element for each
+link or joint; links.mass[0] is the first element of links.mass.
+'assumed': the paper gives no value; estimate the parameter by a fit.""",
     group="data",
     old_words="--data",
 )
 def parameters(
-    data: Annotated[Path | None, "RUN.csv", "A run whose model is listed. [the arm]"] = None,
-    arm: Annotated[Path | None, "FILE.toml", "File of the arm and its sensors."] = None,
-    preset: Annotated[str | None, "NAME", "Preset of the arm. [takeichi_20m]"] = None,
+    data: Annotated[
+        Path | None, "RUN.csv", "A run whose model is listed. [default: the arm]"
+    ] = None,
+    arm: Annotated[Path | None, "FILE.toml", "TOML file of the arm and its sensors."] = None,
+    preset: Annotated[str | None, "NAME", "Preset of the arm. [default: takeichi_20m]"] = None,
     links: Annotated[int | None, "N", "Number of links of the arm."] = None,
     as_json: Json = False,
 ) -> None:
@@ -141,7 +143,7 @@ def parameters(
     from ..recordings import Definition, read_run
 
     if data is not None and (arm or preset or links is not None):
-        raise InputError("a run determines its model: leave out --arm, --preset and --links")
+        raise InputError("a run determines its model: omit --arm, --preset and --links")
     recorded = None if data is None else read_run(data)
     definition = arm_of(arm, preset)
     options = {"preset": preset, "links": links}
@@ -251,18 +253,18 @@ def _as_fitted(stored: dict[str, Any], data: Sequence[Path]) -> dict[str, str]:
     """\b
 Examples:
   giajax predict giajax-out/run --data other.csv
-                            how well a fit predicts another run
+                            compute how well a fit predicts another run
   giajax predict giajax-out/triple_pendulum --against published.toml \\
       --data validation_01.csv --data validation_02.csv
-                            two runs, compared with another model
+                            predict two runs; compare with another model
   giajax predict my_arm.toml --data run.csv --refit-initial --to errors.csv
-                            from the best initial state, into a table
+                            fit the initial state first; write a table
   giajax predict giajax-out/run --data other.csv --without camera,wind
-                            a run with another camera and another wind
+                            predict a run with another camera and wind
 
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or
 other section) states a model with all its parameters.
---without names parameters that are taken from the run's sidecar, or left out.
+--without names parameters that are taken from the sidecar of the run or omitted.
 A NAME is a group of parameters (camera, encoder, marker), a path, or the last
 part of a path.""",
     group="fit",
@@ -271,7 +273,7 @@ part of a path.""",
 def predict(
     model: Annotated[Path, argument("MODEL", "Model; see below.")],
     data: Annotated[list[Path], "RUN.csv", "A recorded run."],
-    against: Annotated[Path | None, "MODEL", "Another model, for the ratio of errors."] = None,
+    against: Annotated[Path | None, "MODEL", "Another model, whose errors are compared."] = None,
     config: Annotated[
         Path | None,
         "FILE.toml",
@@ -283,7 +285,7 @@ def predict(
     without: Annotated[
         Texts, "NAME,NAME", "Take this parameter from the run instead of the fit."
     ] = None,
-    to: Annotated[Path | None, "TABLE.csv", "File for the table."] = None,
+    to: Annotated[Path | None, "TABLE.csv", "Output file for the table."] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -306,7 +308,9 @@ def predict(
     if to is not None:
         check_output_files([to], force=force)
     if without and not is_result(model):
-        raise InputError(f"{model} is not a fit, and --without applies only to fits: leave it out")
+        raise InputError(
+            f"{model} is not a fit, and --without applies only to fits: omit --without"
+        )
     sections = {} if config is None else Definition.load(config).contents()
     # What it says of the model is that of the fit, which `model` states already.
     about = ("model", *run_keys(model=False), "fit")

@@ -191,7 +191,11 @@ def on_result(
     or always. All others are as of `command`.
     """
     shared: list[tuple[str, Any, Any]] = [
-        ("data", Annotated[Paths, "RUN.csv", "New path of a fitted run that was moved."], None),
+        (
+            "data",
+            Annotated[Paths, "RUN.csv", "New path of a fitted run whose file was moved."],
+            None,
+        ),
         ("rename", Renamed, None),
         ("workers", workers and Workers, None),
         ("scheduler", workers and Scheduler, None),

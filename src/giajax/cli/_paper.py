@@ -33,34 +33,34 @@ _PAGE = "index.html"
     """\b
 Examples:
   giajax paper fig5 --out paper
-                            one figure, its data and their source
+                            write one figure, its data and their source
   giajax paper all --out paper
-                            everything, and index.html; the same command
+                            write everything and index.html; the same command
                             continues it after it was stopped
   giajax paper table3 --inverse --out paper
-                            arms that give the printed table
+                            search for arms that give the printed table
 
 \b
 NAME is
   fig5      links 6, 12 and 20 after a step of the base, with and without air
-  fig6      the controller in the whole arm: muscles by pressures, and springs
+  fig6      the controller in the whole arm, with muscles and with springs
   fig9      contraction and force of a muscle in a joint, without corrections
   fig10     the same with alpha and beta
   fig12     one link with hysteresis, without and with compensation
   fig19     links 2, 6, 12 and 20 in models, and a stand-in for the experiment
-  table3    agreement of the models with it: the concordance with and without
-            air; --inverse searches arms that give the values printed in the
-            paper (many minutes)
+  table3    agreement of the models with the stand-in: concordance with and
+            without air; --inverse searches for arms that give the values
+            printed in the paper (many minutes)
 
-Each writes NAME.png, NAME.csv and NAME.json, and states which values are
-printed in the paper, assumed or reconstructed.""",
+Each figure or table is written to NAME.png, NAME.csv and NAME.json, and states
+which values are printed in the paper, assumed or reconstructed.""",
     group="paper",
     pictures=True,
 )
 def paper(
     name: Annotated[str, argument("NAME", "See below, or 'all'.")],
     out: Annotated[Path, "DIR", "Folder for figures and tables."],
-    inverse: Annotated[bool, "For table3: search arms that give the printed values."] = False,
+    inverse: Annotated[bool, "For table3: search for arms that give the printed values."] = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -74,7 +74,7 @@ def paper(
         raise InputError(f"there is no figure '{name}': use one of {', '.join(NAMES)}, {_ALL}")
     if inverse and name != "table3":
         raise InputError(
-            f"--inverse applies to table3 only, not to {name}: leave it out, or give table3"
+            f"--inverse applies to table3 only, not to {name}: omit --inverse, or give table3"
         )
     names: tuple[str, ...] = (INVERSE,) if inverse else NAMES if name == _ALL else (name,)
     if name != _ALL:
@@ -90,7 +90,7 @@ def paper(
         own_page = bool(kept) and is_reproduction_page(out / _PAGE)
         check_output_folder(out, [*_files(names), *([] if own_page else [_PAGE])])
         if kept and not quiet:
-            text = f"{', '.join(kept)}: complete, and kept (--force makes them again)"
+            text = f"{', '.join(kept)}: complete, and kept (--force computes them again)"
             typer.echo(text, err=True)
     made = _made(names, out, force=force, quiet=quiet)
     written = _files(names)
@@ -145,13 +145,13 @@ Examples:
                             other commands from that fit
 
 The folder contains fig12.png, its data in fig12.csv, errors.csv, the recording on which both
-compensations are based, and the fit of the inverse one.""",
+compensations are based, and the fit for the inverse compensation.""",
     group="arm",
     pictures=True,
 )
 def hysteresis(
     out: Annotated[Path, "DIR", "Folder for the files."],
-    travel: Annotated[float, "TRAVEL", "Travel for a change of branch in eq. (12), deg."] = 40.0,
+    travel: Annotated[float, "TRAVEL", "Travel for a change of branch in eq. (12) (deg)."] = 40.0,
     seed: Annotated[int, "N", "Seed of the noise.", 0] = 0,
     force: Force = False,
     quiet: Quiet = False,

@@ -39,23 +39,23 @@ _COMMAND, _PATH, _PAGE, _PICTURE = "command.csv", "path.csv", "plan.json", "plan
     """\b
 Examples:
   giajax plan --model giajax-out/run --pose 1=20 --pose 3=-10 --out planned
-                            to a pose, as fast as the limits allow
+                            reach a pose as fast as the limits allow
   giajax plan --model my_arm.toml --tip 16,5,3 --out planned
-                            the tip to a position, in m
+                            bring the tip to a position, in m
   giajax plan --model my_arm.toml --pose 1=20 --duration 60 --out planned
-                            within 60 s, with the least swing
+                            move within 60 s with minimal swing
   giajax plan --model missions/naraha.toml --through housetop --out planned
-                            through the opening of a wall, without contact
+                            move through an opening without contact
   giajax synth --data planned/command.csv --model giajax-out/run \\
       --channels tip_z --to rehearsal.csv
                             simulate the fitted arm with the plan
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
-states an arm. A pose is the equilibrium for commanded angles; other joints
-are at 0. Writes
+states an arm. A pose is the equilibrium at the commanded angles; other
+joints are commanded to 0. The command writes
   command.csv, command.toml   the command for an operator
-  path.csv                    the expected path of the tip, with bands
+  path.csv                    the expected path of the tip, with uncertainty
   plan.json, plan.png         the result, compared with a direct command
 The air is still, and the arm is initially at rest. The largest rate of the
 paper's arm is not published: 2 deg/s is an assumption.""",
@@ -69,17 +69,21 @@ def plan(
     pose: Annotated[Texts, "JOINT=DEG", "Target: commanded angle of a joint."] = None,
     tip: Annotated[str | None, "X,Y,Z", "Target: position of the tip (m)."] = None,
     through: Annotated[str | None, "WALL", "Target: behind the opening of this wall."] = None,
-    begin: Annotated[Texts, "JOINT=DEG", "Initial commanded angle of a joint. [0]"] = None,
-    duration: Annotated[float | None, "S", "Duration for the least swing. [the least time]"] = None,
+    begin: Annotated[Texts, "JOINT=DEG", "Initial commanded angle of a joint. [default: 0]"] = None,
+    duration: Annotated[
+        float | None,
+        "S",
+        "Duration of the command when swing is minimised. [default: minimise the time]",
+    ] = None,
     max_angle: Annotated[float, "DEG", "Largest commanded angle of a joint."] = 60.0,
     max_angle_rate: Annotated[float, "DEG/S", "Largest rate of a commanded angle."] = 2.0,
     max_pressure: Annotated[float | None, "KPA", "Largest pressure in a muscle."] = None,
-    clearance: Annotated[float, "M", "Least distance between links and obstacles."] = 0.2,
+    clearance: Annotated[float, "M", "Minimum distance between links and obstacles."] = 0.2,
     within: Annotated[
-        float, "PERCENT", "Settling band of the tip, as a share of its travel."
+        float, "PERCENT", "Settling band of the tip, as a percentage of its travel."
     ] = 2.0,
     knots: Annotated[int, "N", "Number of linear segments of the command.", 2] = 10,
-    draws: Annotated[int, "N", "Number of draws of uncertain parameters.", 0] = 20,
+    draws: Annotated[int, "N", "Number of random draws of the uncertain parameters.", 0] = 20,
     as_json: Json = False,
     quiet: Quiet = False,
     force: Force = False,
@@ -95,8 +99,8 @@ def plan(
              if each]  # fmt: skip
     if len(given) != 1:
         raise InputError(
-            f"{len(given)} targets are given, but a plan has one: give exactly one of --pose, "
-            "--tip and --through"
+            f"{len(given)} targets are given, but a plan has a single target: give exactly one of "
+            "--pose, --tip and --through"
         )
     files = [_COMMAND, "command.toml", _PATH, _PAGE, _PICTURE]
     check_output_folder(out, files, force=force)
@@ -112,7 +116,7 @@ def plan(
     from ..models import ArmModel
     from ..report import to_csv, to_png
 
-    say_doubts(model, "where its arm goes", quiet=quiet)
+    say_doubts(model, "the planned motion", quiet=quiet)
     source = load_result(model) if is_result(model) else ArmModel.stated_in(definition)
     joints = arm_model_of(source).arm.count
     target = _target(pose, place, through, joints, definition)
@@ -167,7 +171,8 @@ def _angles(pairs: list[str] | None, option: str, joints: int) -> "np.ndarray":
             raise InputError(f"{option} '{name}=...' must be JOINT=DEG, such as 1=20: correct it")
         if not 1 <= int(name) <= joints:
             raise InputError(
-                f"{option} names joint {name}, but the arm has joints 1 to {joints}: correct it"
+                f"{option} names joint {name}, but the arm has joints 1 to {joints}: correct the "
+                "number"
             )
         angles[int(name) - 1] = np.deg2rad(angle)
     return angles
@@ -227,8 +232,8 @@ def _show(found: "Plan") -> None:
 
     typer.echo(
         f"travel of the tip {found.travel:.3g} m, to "
-        f"({', '.join(f'{each:.3g}' for each in found.goal)}) m; slowest period "
-        f"{found.period:.1f} s\n"
+        f"({', '.join(f'{each:.3g}' for each in found.goal)}) m; slowest natural "
+        f"period {found.period:.1f} s\n"
     )
     print_table(PLAN_HEADINGS, plan_rows(found))
     for note in found.notes:

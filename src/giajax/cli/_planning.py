@@ -62,45 +62,48 @@ _SENSITIVITY_FILES = ("sensitivity.png", "sensitivity.csv", "information.csv")
     """\b
 Examples:
   giajax sensitivity --parameter air.drag_coefficient --out drag
-                            for the paper's arm
+                            analyse the paper's arm
   giajax sensitivity --parameter air.drag_coefficient \\
       --parameter joints.pitch_stiffness --ramp 1=20 --ramp 9=-15@3:2 \\
       --noise position_m=0.02 --out both
-                            for two parameters and another motion
+                            analyse two parameters and another motion
   giajax sensitivity --parameter camera.origin --arm my_arm.toml \\
       --channels tip --out camera
-                            for your arm, with a filmed tip
+                            analyse your arm with a filmed tip
   giajax sensitivity --data run.csv --parameter joints.damping --out recorded
-                            for a recorded run
+                            analyse a recorded run
 
-Default motion: the base joint moves to 30 deg within 1 s; all links are filmed.
-Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.csv
-(share of each link, and the standard error from that link alone).""",
+By default, the base joint moves to 30 deg within 1 s, and all links are filmed.
+The output files are sensitivity.png, sensitivity.csv (derivatives over time) and
+information.csv (share of each link in the information, and the standard error
+from that link alone).""",
     group="plan",
     pictures=True,
     old_words="--data",
 )
 def sensitivity(
-    parameter: Annotated[list[str], "PATH", "A parameter ('giajax parameters')."],
+    parameter: Annotated[list[str], "PATH", "A parameter, as listed by 'giajax parameters'."],
     out: Annotated[Path, "DIR", "Folder for figure and tables."],
     data: Annotated[Path | None, "RUN.csv", "A recorded run of any model."] = None,
-    arm: Annotated[Path | None, "FILE.toml", "File with the [arm]."] = None,
+    arm: Annotated[Path | None, "FILE.toml", "TOML file with an [arm] section."] = None,
     links: Links = None,
     pairs: Settings = None,
-    step: Annotated[Texts, "JOINT=DEG[@T]", "Step of a command."] = None,
-    ramp: Annotated[Texts, "JOINT=DEG[@START:DURATION]", "Linear change of a command."] = None,
+    step: Annotated[Texts, "JOINT=DEG[@T]", "Step of the command of a joint."] = None,
+    ramp: Annotated[
+        Texts, "JOINT=DEG[@START:DURATION]", "Linear change of the command of a joint."
+    ] = None,
     command: Replayed = None,
     wind: Wind = None,
-    duration: Annotated[float | None, "S", "Length of the run, s. [25]"] = None,
-    rate: Annotated[float | None, "HZ", "Samples per second. [10]"] = None,
+    duration: Annotated[float | None, "S", "Duration of the run. [default: 25]"] = None,
+    rate: Annotated[float | None, "HZ", "Samples per second. [default: 10]"] = None,
     channels: Annotated[
-        Texts, "CHANNEL", "Recorded channels: link06, tip, joints, all. [all]"
+        Texts, "CHANNEL", "Recorded channels: link06, tip, joints, all. [default: all]"
     ] = None,
     noise: Annotated[
         Texts,
         "KEY=VALUE",
-        "Standard deviation of a key of [noise]. [the run's, or position_m=0.01, angle_deg=0.5, "
-        "pixel_px=2]",
+        "Noise standard deviation for a key of [noise]. [default: from the run, otherwise "
+        "position_m=0.01, angle_deg=0.5, pixel_px=2]",
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -116,7 +119,9 @@ def sensitivity(
     typed = settings(pairs)
     again = (arm, step, ramp, command, wind, links, duration, rate)
     if data is not None and any(value is not None and value != [] for value in again):
-        raise InputError("a run determines arm and motion: leave out the options for them")
+        raise InputError(
+            "a run determines the arm and the motion: omit the options that describe them"
+        )
     recorded = None if data is None else read_run(data)
     sections = definition_from_options(arm, links, wind, quiet=quiet)
     replayed = replayed_run(command, sections, step or ramp)
@@ -161,7 +166,7 @@ def sensitivity(
         sensitivities = along(model, recorded, parameter, names)
     noises = _noise_of(recorded, sensitivities.channels, section)
     files = {name: text.encode() for name, text in sensitivity_files(sensitivities, noises).items()}
-    title = f"{recorded.name}: sensitivity, and the information in each body"
+    title = f"{recorded.name}: sensitivity, and information from each body"
     files["sensitivity.png"] = to_png(sensitivity_figure(sensitivities, noises, title))
     write_folder(out, files, force=force)
     if not quiet:
@@ -225,7 +230,7 @@ def source_of(
         from ..models import capabilities
 
         if links is not None or changed:
-            raise InputError("a fit determines its arm: leave out --links and --set")
+            raise InputError("a fit determines its arm: omit --links and --set")
         fitted = load_result(source)
         model = capabilities.with_integration(fitted.model, solver=solver, tolerance=tolerance)
         # As the definition of the fit would have it, but for noise, which the fit has.
@@ -281,20 +286,21 @@ _DIGITS = 12
     """\b
 Examples:
   giajax design giajax-out/run --parameter air.drag_coefficient --out next
-                            after a fit
+                            design an experiment after a fit
   giajax design --parameter air.drag_coefficient --joints 1,3 --max-angle 30 \\
       --max-angle-rate 30 --duration 25 --markers 3 --out next
-                            for the paper's arm, within limits
+                            use the paper's arm within limits
   giajax design fits/base_step.toml --parameter air.drag_coefficient \\
       --parameter joints.pitch_stiffness --criterion D \\
       --channels link06_z,link20_z --out next
-                            for two parameters of a fit definition
+                            use two parameters of a fit definition
   giajax simulate --command next/command.csv --to rehearsal.csv
                             simulate the designed experiment
 
 SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML
-file whose [arm] states an arm; the default is the preset. Writes command.csv,
-the command for an operator, with its sidecar, design.json and design.png.""",
+file whose [arm] states an arm; the default is the preset. The output files are
+command.csv (the command for an operator) with its sidecar, design.json and
+design.png.""",
     group="plan",
     pictures=True,
     old={
@@ -308,37 +314,52 @@ the command for an operator, with its sidecar, design.json and design.png.""",
 def design(
     parameter: Annotated[list[str], "PATH", "A parameter to estimate."],
     out: Annotated[Path, "DIR", "Folder for the files."],
-    source: Annotated[Path | None, argument("SOURCE", "The arm or a fit of it; see below.")] = None,
+    source: Annotated[
+        Path | None, argument("SOURCE", "The arm or a fit of the arm; see below.")
+    ] = None,
     links: Links = None,
     pairs: Settings = None,
-    free: Annotated[Texts, "PATH", "Further free parameters of the fit. [as in the source]"] = None,
+    free: Annotated[
+        Texts, "PATH", "Further free parameters of the fit. [default: as in the source]"
+    ] = None,
     criterion: Annotated[
-        str | None, "c|A|D", "Criterion: error of one parameter, trace, or determinant. [c, or A]"
+        str | None,
+        "c|A|D",
+        "Criterion: error of one parameter (c), trace (A) or determinant (D). [default: c for one "
+        "parameter, otherwise A]",
     ] = None,
     joints: Annotated[str, "N,N", "Joints that may be commanded."] = "1",
     max_angle: Annotated[float, "DEG", "Largest angle of a joint."] = 30.0,
     max_angle_rate: Annotated[float, "DEG/S", "Largest rate of a joint."] = 30.0,
-    duration: Annotated[float, "S", "Length of the run, s."] = 25.0,
+    duration: Annotated[float, "S", "Duration of the run."] = 25.0,
     rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
     channels: Annotated[
-        Texts, "CHANNEL", "Channels that may be recorded: link06, tip, link20_z. [all]"
+        Texts, "CHANNEL", "Channels that may be recorded: link06, tip, link20_z. [default: all]"
     ] = None,
-    markers: Annotated[int | None, "N", "Largest number of filmed links. [all of them]"] = None,
+    markers: Annotated[int | None, "N", "Maximum number of filmed links. [default: all]"] = None,
     noise: Annotated[
         Texts,
         "KEY=VALUE",
-        "Standard deviation of a key of [noise]. [the fit's, or position_m=0.01, angle_deg=0.5, "
-        "pixel_px=2]",
+        "Noise standard deviation for a key of [noise]. [default: from the fit, otherwise "
+        "position_m=0.01, angle_deg=0.5, pixel_px=2]",
     ] = None,
     relative_uncertainty: Annotated[
-        float | None, "SHARE", "Relative uncertainty of the free parameters. [the fit's, or 0.2]"
+        float | None,
+        "SHARE",
+        "Relative uncertainty of the free parameters. [default: from the fit, otherwise 0.2]",
     ] = None,
-    draws: Annotated[int, "N", "Number of draws of uncertain parameters for robustness.", 1] = 4,
+    draws: Annotated[int, "N", "Number of random draws of the uncertain parameters.", 1] = 4,
     worst: Annotated[bool, "Minimise the error of the worst draw, not the mean."] = False,
-    knots: Annotated[int | None, "N", "Number of turns of each joint. [15, or 30 for all]"] = None,
-    starts: Annotated[int, "N", "Number of commands compared first.", 1] = 6,
+    knots: Annotated[
+        int | None,
+        "N",
+        "Number of turning points of each joint command. [default: 15, or 30 for all joints]",
+    ] = None,
+    starts: Annotated[int, "N", "Number of commands compared before the optimisation.", 1] = 6,
     follow: Annotated[int, "N", "Number of commands that are optimised.", 1] = 2,
-    max_iterations: Annotated[int, "N", "Optimiser steps for each command.", 1] = 25,
+    max_iterations: Annotated[
+        int, "N", "Maximum number of optimiser steps for each command.", 1
+    ] = 25,
     solver: Solver = "springs5",
     tolerance: Tolerance = 1e-6,
     as_json: Json = False,
@@ -398,7 +419,7 @@ def design(
         _show_design(found)
         say_written(out, _DESIGN_FILES)
     if found.status == "interrupted":
-        typer.echo("giajax: stopped: this is the best command so far", err=True)
+        typer.echo("giajax: stopped: the best command found so far is shown", err=True)
         raise typer.Exit(stopped_status())
 
 
@@ -419,7 +440,7 @@ class _Progress:
     def __call__(self, evaluation: "Evaluation") -> None:
         if evaluation.number == 1:
             self._first = evaluation.value
-            typer.echo("   n  start    error   best, over that of the base step", err=True)
+            typer.echo("   n  start    error   best, relative to the base step", err=True)
         start = evaluation.start or "-"
         shares = [math.exp(v - self._first) for v in (evaluation.value, evaluation.best)]
         typer.echo(
@@ -431,7 +452,7 @@ class _Progress:
 def _show_design(found: "Design") -> None:
     from ..apps.design import DESIGN_HEADINGS, design_rows
 
-    typer.echo("standard errors to expect:")
+    typer.echo("expected standard errors:")
     print_table(DESIGN_HEADINGS, design_rows(found))
     limits = found.limits
     numbers = ", ".join(str(joint) for joint in limits.joints)
@@ -446,6 +467,6 @@ def _show_design(found: "Design") -> None:
     else:
         low, high = found.spread
         within = f"{low:.2f} to {high:.2f} times the predicted error"
-        typer.echo(f"over {found.draws} draws of the uncertain parameters {within}")
+        typer.echo(f"for {found.draws} draws of the uncertain parameters, the error is {within}")
     if found.status == "iteration limit":
         typer.echo("stopped at the iteration limit: raise --max-iterations")

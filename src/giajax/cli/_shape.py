@@ -37,19 +37,19 @@ _PAGE, _PICTURE = "shape.json", "shape.png"
     """\b
 Examples:
   giajax shape command.csv --model giajax-out/run --out shaped
-                            ZV, ZVD and EI, with uncertainty from the fit
+                            compute ZV, ZVD and EI for the fitted arm
   giajax shape command.csv --model my_arm.toml --shaper ZVD --out shaped
-                            one shaper, for the arm of a file
+                            use one shaper and the arm of a file
   giajax synth --data shaped/command_zvd.csv --model giajax-out/run \\
       --channels tip_z --to rehearsal.csv
                             simulate the fitted arm with a shaped command
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
-states an arm; the default is the sidecar's arm. Writes command_zv.csv and so
-on (commands for an operator), shape.json and shape.png. The residual is the
-largest distance of the tip from its final position after the command has
-ended, in still air.""",
+states an arm; the default is the arm of the sidecar. The output files are
+command_zv.csv, command_zvd.csv and command_ei.csv (commands for an operator),
+shape.json and shape.png. The residual is the largest distance of the tip from
+its final position after the end of the command, in still air.""",
     group="plan",
     pictures=True,
 )
@@ -57,9 +57,9 @@ def shape(
     run: Annotated[Path, argument("COMMAND.csv", "A run with the commands to shape.")],
     out: Annotated[Path, "DIR", "Folder for the files."],
     model: Annotated[Path | None, "MODEL", "The arm; see below."] = None,
-    shaper: Annotated[Texts, "NAME", "ZV, ZVD or EI. [all]"] = None,
-    tune: Annotated[bool, "Search period and damping by simulation."] = True,
-    draws: Annotated[int, "N", "Number of draws of uncertain parameters.", 0] = 20,
+    shaper: Annotated[Texts, "NAME", "Shaper: ZV, ZVD or EI. [default: all]"] = None,
+    tune: Annotated[bool, "Optimise period and damping by simulation."] = True,
+    draws: Annotated[int, "N", "Number of random draws of the uncertain parameters.", 0] = 20,
     rename: Renamed = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -83,7 +83,7 @@ def shape(
     from ..apps.shaping import shape_command, shaping_facts, shaping_figure
     from ..report import to_png
 
-    say_doubts(model, "how its arm swings", quiet=quiet)
+    say_doubts(model, "the predicted swing", quiet=quiet)
     source = fit_or_model(model, [recorded])
     given = _command(recorded, source)
     with failed_simulation(""):
@@ -135,7 +135,7 @@ def _command(run: "Run", source: Any) -> "Command":
     count = arm_model_of(source).arm.count
     if run.times is None or not run.commands:
         raise InputError(
-            f"{run.path} has no commands over time: give columns such as joint01_command_deg"
+            f"{run.path} contains no commands over time: give columns such as joint01_command_deg"
         )
     interpolation = run.definition.section(CommandSection).interpolation
     angles = np.zeros((len(run.times), count))
@@ -171,7 +171,8 @@ def _show(found: "Shaping") -> None:
 
     for mode in found.modes:
         typer.echo(
-            f"mode of {mode.period:.1f} s, damping {mode.damping:.2f} as the command excites it"
+            f"mode of period {mode.period:.1f} s, damping {mode.damping:.2f} at the amplitude "
+            "that the command excites"
         )
     typer.echo(f"travel of the tip {found.travel:.3g} m\n")
     print_table(SHAPING_HEADINGS, shaping_rows(found))

@@ -73,9 +73,9 @@ def gusts_of(
     source = definition if replayed is None else replayed.definition
     mean = source.section(WindSection).velocity_m_per_s
     if replayed is not None and replayed.winds:
-        raise InputError(f"'{replayed.name}' has a recorded wind: leave --gusts out")
+        raise InputError(f"'{replayed.name}' has a recorded wind: omit --gusts")
     if mean is None:
-        raise InputError("--gusts need a constant wind, and none is given: add --wind X,Y,Z")
+        raise InputError("--gusts needs a constant wind, but none is given: add --wind X,Y,Z")
     if coherence is not None and not 0 <= coherence < math.inf:
         raise InputError(f"--coherence is {coherence:g}: give a decay of at least 0, such as 12")
     intensity = parts if len(parts) == 3 else parts[0]
@@ -88,7 +88,7 @@ def gusts_of(
     # Of a direction without gusts nothing is left out.
     shares = [f"{along:.1%} along"] * (parts[0] > 0) + [f"{across:.1%} across"] * any(parts[-2:])
     return wind, (
-        f"gusts faster than {4 * scales['interval']:g} s are left out, as a share of the variance: "
+        f"gusts with periods below {4 * scales['interval']:g} s are omitted; variance lost: "
         f"{', '.join(shares)} the mean wind"
     )
 
@@ -98,7 +98,7 @@ def gust_numbers(text: str) -> tuple[list[float], float]:
     match = _GUSTS.fullmatch(text.replace(" ", ""))
     if match is None:
         raise InputError(
-            f"--gusts is {text!r}: give the intensity, or three of them, and the length scale in "
+            f"--gusts is {text!r}: give one intensity or three, and the length scale in "
             "m, such as 0.3:5 or 0.3,0.2,0.1:5"
         )
     return [float(part) for part in match["intensity"].split(",")], float(match["length"])
@@ -131,7 +131,7 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
         if channel.kind not in _MEASURED and channel.quantity != "pixel":
             raise InputError(
                 f"--channels {name!r} is not a channel of an arm: give link06, link06_z, "
-                "tip, joint03_angle, joint03_rate, joints or all, or of a camera side.tip"
+                "tip, joint03_angle, joint03_rate, joints or all, or side.tip for a camera"
             )
         if channel.kind != "mark_pixel" and (channel.index or 1) > count:
             part = "joint" if channel.kind.startswith("joint") else "link"
@@ -229,7 +229,7 @@ def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: flo
             length = 0.0 if at_once else float(match["duration"] or _RAMP_DURATION)
             if length == 0 and not at_once:
                 raise InputError(
-                    f"{option} {text!r} has the duration 0: give a longer one, or --step"
+                    f"{option} {text!r} has the duration 0: give a positive duration, or use --step"
                 )
             start = _START if match["start"] is None else float(match["start"])
             angle = math.radians(float(match["angle"]))
@@ -292,17 +292,17 @@ def facts_of(
     """\b
 Examples:
   giajax simulate --ramp 1=30 --to run.csv
-                            the base joint moves to 30 deg
+                            move the base joint to 30 deg
   giajax simulate --step 1=30@0.5 --step 1=0@10 --missing 10 \\
       --noise position_m=0.02 --noise angle_deg=0.5 --to run.csv
-                            there and back, with noise and gaps
+                            move there and back, with noise and gaps
   giajax simulate --command logged.csv --set joints.damping=0.1 --to run.csv
-                            with the commands of a recording
+                            use the commands of a recording
   giajax simulate --arm my_arm.toml --ramp 2=-20@1:3 --channels all \\
       --set camera.origin=0.1,0,0 --to run.csv
-                            your arm, with all links recorded
+                            use your arm, and record all links
   giajax simulate --wind 0,0.2,0 --gusts 0.3:5 --coherence 12 --to run.csv
-                            without commands, in gusts
+                            simulate gusts without commands
 
 CHANNEL is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
 'joints' (all angles) or 'all' (every link). A row is added at each corner of a
@@ -317,33 +317,37 @@ def simulate(
         Path | None, "FILE.toml", "File with [arm], [initial], [command] and [wind]."
     ] = None,
     links: Links = None,
-    pairs: Annotated[Texts, "PATH=VALUE", "A parameter ('giajax parameters').", "--set"] = None,
-    step: Annotated[Texts, "JOINT=DEG[@T]", "Step of a command, at 0.5 s by default."] = None,
+    pairs: Annotated[
+        Texts, "PATH=VALUE", "A parameter, as listed by 'giajax parameters'.", "--set"
+    ] = None,
+    step: Annotated[
+        Texts, "JOINT=DEG[@T]", "Step of the command of a joint, by default at 0.5 s."
+    ] = None,
     ramp: Annotated[
         Texts,
         "JOINT=DEG[@START:DURATION]",
-        "Linear change of a command, by default from 0.5 s for 1 s.",
+        "Linear change of the command of a joint, by default starting at 0.5 s and lasting 1 s.",
     ] = None,
     command: Replayed = None,
     wind: Wind = None,
     gusts: Annotated[
-        str | None, "I:L", "Gusts about --wind: intensity and length scale (m)."
+        str | None, "I:L", "Intensity and length scale (m) of gusts about --wind."
     ] = None,
     coherence: Annotated[
         float | None,
         "DECAY",
-        "Decay of the coherence of gusts along the arm (IEC 61400-1: 12). [the same gusts along "
-        "the whole arm]",
+        "Decay of the coherence of gusts along the arm (IEC 61400-1: 12). [default: the same "
+        "gusts along the whole arm]",
     ] = None,
     duration: Annotated[
-        float | None, "S", "Length of the run, s. [25, or that of --command]"
+        float | None, "S", "Duration of the run. [default: that of --command, otherwise 25]"
     ] = None,
     rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
     channels: Annotated[
         Texts, "CHANNEL", "Channels to record; see below. [default: links 2, 6, 12, 20 and tip]"
     ] = None,
-    noise: Annotated[Texts, "KEY=VALUE", "Standard deviation of a key of [noise]."] = None,
-    missing: Annotated[float, "PERCENT", "Share of missing samples in each channel."] = 0.0,
+    noise: Annotated[Texts, "KEY=VALUE", "Noise standard deviation for a key of [noise]."] = None,
+    missing: Annotated[float, "PERCENT", "Percentage of missing samples in each channel."] = 0.0,
     seed: Annotated[int, "N", "Seed of noise, gaps and gusts.", 0] = 0,
     solver: Solver = "springs5",
     tolerance: Tolerance = 1e-7,
@@ -376,7 +380,7 @@ def simulate(
     if step or ramp:
         drives = [moves_of(step or [], ramp or [], count, duration)]
     if coherence is not None and gusts is None:
-        raise InputError("--coherence applies to gusts, and none are given: add --gusts")
+        raise InputError("--coherence applies to gusts, but none are given: add --gusts")
     left_out = ""
     if gusts is not None:
         sampling: dict[str, Any] = {"start": start, "duration": duration, "rate": rate}
@@ -444,13 +448,13 @@ def _as_written(name: str, values: Any, digits: int) -> Any:
     """\b
 Examples:
   giajax synth --data run.csv --noise position_m=0.01 --to new.csv
-                            with white noise
+                            add white noise
   giajax synth --data run.csv --model giajax-out/run \\
       --correlated position_m=0.02 --to new.csv
-                            predicted by a fit, with correlated noise
+                            use a fit, and add correlated noise
   giajax synth --data run.csv --set camera.rotation=0,0.087,0 \\
       --set camera.delay=0.05 --to new.csv
-                            with a rotated and delayed camera
+                            simulate a rotated and delayed camera
   giajax synth --data run.csv --missing 5 --bursts 10 --burst-duration 2 \\
       --to new.csv          with gaps
   giajax synth --data run.csv --noise position_m=0.01 --outliers 1 \\
@@ -471,19 +475,21 @@ def synth(
     data: Annotated[Path, "RUN.csv", "The run to simulate again."],
     to: ToRun,
     model: Annotated[
-        Path | None, "MODEL", "The true model; see below. [the run's own model]"
+        Path | None, "MODEL", "The true model; see below. [default: the model of the run]"
     ] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "True value of a parameter.", "--set"] = None,
-    channels: Annotated[Texts, "CHANNEL", "A channel to record. [those of the run]"] = None,
+    channels: Annotated[
+        Texts, "CHANNEL", "A channel to record. [default: the channels of the run]"
+    ] = None,
     noise: Annotated[Texts, "KEY=VALUE", "Standard deviation of white noise."] = None,
     correlated: Annotated[Texts, "KEY=VALUE", "Standard deviation of correlated noise."] = None,
-    correlation_time: Annotated[float, "S", "Correlation time of that noise (s)."] = 0.5,
-    missing: Annotated[float, "PERCENT", "Share of single missing cells."] = 0.0,
-    bursts: Annotated[float, "PERCENT", "Share of samples missing in bursts."] = 0.0,
-    burst_duration: Annotated[float, "S", "Length of a burst (s)."] = 1.0,
-    outliers: Annotated[float, "PERCENT", "Share of outliers."] = 0.0,
-    outlier_size: Annotated[Texts, "KEY=VALUE", "Distance of the outliers."] = None,
-    seed: Annotated[int, "N", "Seed of all errors.", 0] = 0,
+    correlation_time: Annotated[float, "S", "Correlation time of the correlated noise."] = 0.5,
+    missing: Annotated[float, "PERCENT", "Percentage of single missing cells."] = 0.0,
+    bursts: Annotated[float, "PERCENT", "Percentage of samples missing in bursts."] = 0.0,
+    burst_duration: Annotated[float, "S", "Duration of a burst."] = 1.0,
+    outliers: Annotated[float, "PERCENT", "Percentage of outliers."] = 0.0,
+    outlier_size: Annotated[Texts, "KEY=VALUE", "Size of the outliers."] = None,
+    seed: Annotated[int, "N", "Seed of all random errors.", 0] = 0,
     digits: Digits = 9,
     force: Force = False,
     quiet: Quiet = False,

@@ -49,17 +49,19 @@ increasing distances from its estimate while all others are fitted. Without a
 PATH, all free parameters are profiled.
 Writes profiles.json and profiles.png beside the result, where 'giajax report'
 finds them. Existing profiles of the same fit are kept, further paths are added, and
-after Ctrl-C the same command continues. --force profiles again.""",
+after Ctrl-C the same command continues. --force computes all profiles again.""",
     group="trust",
     workers=True,
-    folder="Folder that keeps each finished side.",
+    folder="Folder in which each finished side of a profile is stored.",
     figures="Draw profiles.png.",
     as_json=True,
     old_words="--parameter",
 )
 def profile(
     given: OnResult,
-    parameter: Annotated[Texts, "PATH", "Parameter to profile (all free parameters)."] = None,
+    parameter: Annotated[
+        Texts, "PATH", "Parameter to profile. [default: all free parameters]"
+    ] = None,
     level: Annotated[float, "P", "Level of the intervals, between 0 and 1."] = 0.95,
 ) -> None:
     """Compute profile-likelihood intervals of parameters.
@@ -70,7 +72,7 @@ def profile(
     from ..recordings import check_output_files, check_output_folder
 
     if not 0 < level < 1:
-        raise InputError(f"the level is {level:g}: give one between 0 and 1, such as 0.95")
+        raise InputError(f"the level is {level:g}: give a level between 0 and 1, such as 0.95")
     check_output_folder(given.home)
     fitted = given.fitted
     from ..studies import PROFILES, profile as profile_of
@@ -129,14 +131,15 @@ Examples:
   giajax posterior giajax-out/run --out elsewhere
                             into another folder
 
-RESULT is the folder of a fit, or its result.json. Writes posterior.json, the
-draws for ArviZ (posterior.nc), figures, and bands of every channel as CSV.
-Each chain has a file in posterior_chains. The same command continues after Ctrl-C,
-and with more --chains it keeps the existing ones. Needs pip install 'giajax[posterior]'.""",
+RESULT is the folder of a fit, or its result.json. The output files are
+posterior.json, the draws for ArviZ (posterior.nc), figures, and uncertainty bands
+of every channel as CSV. Each chain is stored in posterior_chains. The same command
+continues after Ctrl-C; with a larger number of --chains, the existing chains
+are kept. This command needs pip install 'giajax[posterior]'.""",
     group="trust",
     pictures=True,
     workers=True,
-    out="Folder for the files (that of the result).",
+    out="Output folder. [default: the folder of RESULT]",
     as_json=True,
 )
 def posterior(
@@ -197,7 +200,7 @@ def _is_unfinished(path: Path, result: "FitResult") -> bool:
 # Repetitions of a self-test: the spread within 7 %, in about a minute for a fit of some seconds.
 _SELF_TEST = 96
 
-_KEPT = "Folder that keeps each finished task."
+_KEPT = "Folder in which each finished task is stored."
 
 
 @on_result(
@@ -219,7 +222,7 @@ the same command with --force continues from there.""",
     group="trust",
     workers=True,
     folder=_KEPT,
-    out="Folder for bootstrap.json (that of RESULT).",
+    out="Output folder for bootstrap.json. [default: the folder of RESULT]",
     figures="Draw a figure of the repetitions.",
     as_json=True,
     old={"--out FILE.json": "--out"},
@@ -251,12 +254,12 @@ def self_test(
     from ..studies import bootstrap as repeat
 
     if shown:
-        typer.echo("\nself-test: the fit repeated with new noise", err=True)
+        typer.echo("\nself-test: the fit is repeated with new noise", err=True)
     progress = ManyProgress("parts") if shown else None
     try:
         found = repeat(result, runs, size=_SELF_TEST, progress=progress)
     except InputError as error:
-        typer.echo(f"giajax: no self-test: {error}", err=True)
+        typer.echo(f"giajax: the self-test is omitted: {error}", err=True)
         return []
     files = record_files(found, result, folder / "bootstrap.json", figures=True)
     write_files(files, force=True)
@@ -270,9 +273,9 @@ def self_test(
     """\b
 Examples:
   giajax influence giajax-out/run
-                            by one step from the optimum
+                            estimate by one step from the optimum
   giajax influence giajax-out/both --exact --workers 2
-                            by refits without each part
+                            repeat the fit without each part of the data
   giajax influence giajax-out/run --spans 20 --out spans
                             with shorter time spans, into another folder
 
@@ -282,15 +285,17 @@ giajax report finds them.""",
     group="trust",
     workers=True,
     folder=_KEPT,
-    out="Folder for influence.json (that of RESULT).",
-    figures="Draw a map.",
+    out="Output folder for influence.json. [default: the folder of RESULT]",
+    figures="Draw a map of the influences.",
     as_json=True,
     old={"--most": "--rows", "--out FILE.json": "--out"},
 )
 def influence(
     given: OnResult,
     exact: Annotated[bool, "Repeat the fit without each marker, channel and span."] = False,
-    spans: Annotated[int, "N", "Number of time spans of each run; 1 for none.", 1] = 10,
+    spans: Annotated[
+        int, "N", "Number of time spans of each run; 1 to omit the time spans.", 1
+    ] = 10,
     rows: Annotated[int, "N", "Number of table rows.", 1] = 20,
 ) -> None:
     """Show the influence of each part of the data on the estimates.
@@ -305,9 +310,9 @@ def influence(
     """\b
 Examples:
   giajax suspects giajax-out/run
-                            test each without a fit
+                            test each suspect without a fit
   giajax suspects giajax-out/run --ladder
-                            fit the best of them, and test again
+                            fit the best suspects, and test again
   giajax suspects giajax-out/run --ladder --tries 1
                             with one fit for each step
   giajax suspects giajax-out/run --ladder --validation other.csv
@@ -319,11 +324,11 @@ Examples:
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 their original paths. The suspect with the largest decrease of chi-square comes first.
---ladder fits the first few, keeps the one with the lowest BIC, tests again,
-and so on as long as BIC decreases. A step takes minutes for a long arm, and less with
+--ladder fits the first few suspects, keeps the one with the lowest BIC, and
+repeats this as long as BIC decreases. A step takes minutes for a long arm, and less with
 --tries 1, which fits only the first suspect.""",
     group="trust",
-    out="Folder for the result with its suspects, suspects.json.",
+    out="Output folder for suspects.json, the result with its suspects.",
     as_json=True,
     old={
         "--held-out": "--validation",
@@ -333,15 +338,15 @@ and so on as long as BIC decreases. A step takes minutes for a long arm, and les
 )
 def suspects(
     given: OnResult,
-    each: Annotated[Texts, "PATH", "Also test the elements of this array one by one."] = None,
+    each: Annotated[Texts, "PATH", "Also test each element of this array separately."] = None,
     systematic: Annotated[bool, "Show the effect of fixed parameters on the fitted ones."] = False,
     uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a fixed parameter."] = None,
     ladder: Annotated[bool, "Fit the most promising suspects in turn."] = False,
     validation: Annotated[Paths, "RUN.csv", "A run for validation of the ladder."] = None,
     rows: Annotated[int, "N", "Number of table rows.", 1] = 8,
-    max_steps: Annotated[int, "N", "Largest number of ladder steps.", 1] = 8,
+    max_steps: Annotated[int, "N", "Maximum number of ladder steps.", 1] = 8,
     tries: Annotated[
-        int | None, "N", "Number of suspects fitted at each ladder step (3).", 1
+        int | None, "N", "Number of suspects fitted at each ladder step. [default: 3]", 1
     ] = None,
 ) -> None:
     """Test parameters that a fit fixed, switched off or omitted.
@@ -380,7 +385,7 @@ def suspects(
             print()
         print("\n".join(suspect_summary(found)))
         if systematic or deviations:
-            print("\neffect of a fixed parameter's uncertainty, in standard errors:")
+            print("\neffect of the uncertainty of fixed parameters, in standard errors:")
             print_table(*systematic_table(fitted))
     steps = None
     if ladder:

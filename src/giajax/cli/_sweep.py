@@ -45,16 +45,20 @@ A plan names a fit definition and the values that differ between fits:
   "links.mass" = { from = 0.04, to = 0.06, count = 5 }
 
 The same command continues a sweep that was stopped or killed, or whose plan
-has grown. DIR/sweep.parquet has one row for each fit, DIR/fits one file.
+has been extended. DIR/sweep.parquet contains one row for each fit, and DIR/fits
+contains one file for each fit.
 
 \b
-Exit status: 0 all fits were done; 1 a fit failed (its row states why);
+Exit status: 0 all fits were done; 1 a fit failed (its row states the
+reason);
 2 bad input or usage; 130 interrupted, 143 by SIGTERM.""",
     group="fit",
 )
 def sweep(
     plan: Annotated[Path, argument("PLAN", "Plan of the fits; see below.")],
-    out: Annotated[Path | None, "DIR", "Folder for the table (giajax-out/PLAN)."] = None,
+    out: Annotated[
+        Path | None, "DIR", "Output folder for the table. [default: giajax-out/PLAN]"
+    ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     dry_run: Annotated[bool, "List the fits without running them."] = False,
@@ -102,7 +106,7 @@ def _list(plan: "Plan", folder: Path) -> None:
         values = (case.get(name) for name in plan.columns)
         rows.append((number, *values, "done" if done else ""))
     print_table(["fit", *plan.columns, ""], rows)
-    print(f"\n{len(rows)} fits into {folder}, {known} of them done already")
+    print(f"\n{len(rows)} fits into {folder}, {known} of them already done")
 
 
 def _estimate(row: dict[str, Any], path: str) -> str | None:

@@ -45,24 +45,24 @@ _SHARE = 0.3  # of a parameter: its deviation, where none is stated
     """\b
 Examples:
   giajax track run.csv --model giajax-out/run --out tracked
-                            with the fitted arm, in still air
+                            use the fitted arm in still air
   giajax track run.csv --model giajax-out/run --wind 0,0.2,0 --out tracked
-                            in an unknown wind with gusts, roughly along y
+                            estimate an unknown gusty wind, roughly along y
   giajax track run.csv --latency 0.5 --bias position_m=0.05 --out tracked
-                            the estimate from a delayed, shifted camera
+                            use a delayed and shifted camera
   giajax track run.csv --model my_arm.toml \\
       --uncertain air.drag_coefficient=0.1 --out tracked
-                            with a standard deviation of 0.1 for the drag
+                            use a standard deviation of 0.1 for the drag
   giajax track run.csv --model my_arm.toml \\
       --free joints.pitch_stiffness --live 30 --out tracked
-                            while run.csv is being recorded
+                            track while run.csv is being recorded
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
-states an arm; the default is the sidecar's arm. The errors of a fit count as
-uncertainty of its parameters. Writes estimate.csv, a run of the smoothed
-states, bands.csv with the deviations of each, track.json, track.png and
-track.html (with the extra report).
+states an arm; the default is the arm of the sidecar. The standard errors of
+a fit are used as the uncertainty of its parameters. The output files are
+estimate.csv (a run of the smoothed states), bands.csv (their standard
+deviations), track.json, track.png and track.html (needs the extra report).
 
 \b
 With --live, or with - for standard input, a line is printed for each second
@@ -77,39 +77,49 @@ def track(
     mean: Annotated[
         str | None,
         "X,Y,Z",
-        "Estimate a wind; approximate mean flow (m/s). [known or still air]",
+        "Estimate the wind, given an approximate mean flow (m/s). [default: known wind or still "
+        "air]",
         "--wind",
     ] = None,
     gusts: Annotated[
-        str | None, "I:L", "Intensity and length scale (m) of its gusts. [0.3:5]"
+        str | None, "I:L", "Intensity and length scale (m) of the gusts. [default: 0.3:5]"
     ] = None,
     coherence: Annotated[
-        float | None, "DECAY", "Decay of the coherence of gusts over distances. [12]"
+        float | None, "DECAY", "Decay of the coherence of gusts with distance. [default: 12]"
     ] = None,
     places: Annotated[
-        int | None, "N", "Number of gust positions along the arm. [one for each 2.5 m]", 1
+        int | None, "N", "Number of gust positions along the arm. [default: one for each 2.5 m]", 1
     ] = None,
     bias: Annotated[
-        Texts, "KEY=SD", "Estimate a constant bias, such as position_m=0.05 or tip_x_m=0.05."
+        Texts,
+        "KEY=SD",
+        "Estimate a constant bias with this prior standard deviation, such as tip_x_m=0.05.",
     ] = None,
     uncertain: Annotated[
         Texts,
         "PATH=SD",
-        "Standard deviation of a parameter that is not estimated. [all errors of the fit]",
+        "Standard deviation of a parameter that is not estimated. [default: from the fit]",
     ] = None,
     free: Annotated[
-        Texts, "PATH[=SD]", "Estimate a parameter and detect its changes. [SD: 30 % of it]"
+        Texts,
+        "PATH[=SD]",
+        "Estimate a parameter and detect its changes. [default SD: 30 % of the value]",
     ] = None,
     live: Annotated[
-        float | None, "S", "Follow a growing file until it has not grown for this time."
+        float | None,
+        "S",
+        "Follow a file that is being written until it has not grown for this time.",
     ] = None,
     torque: Annotated[
-        float | None, "N_M", "White unmodelled torque of a joint, N m root(s). [from the stiffness]"
+        float | None,
+        "N_M",
+        "Intensity of the unmodelled white-noise torque of a joint (N m root(s)). [default: from "
+        "the stiffness]",
     ] = None,
     latency: Annotated[float, "S", "Delay between time stamp and arrival of a measurement."] = 0.0,
     gate: Annotated[float, "SD", "Reject measurements beyond this many standard deviations."] = 5.0,
     truth: Annotated[
-        Path | None, "TRUE.csv", "True angles or rates, to check the standard deviations."
+        Path | None, "TRUE.csv", "File with true angles or rates, to check the standard deviations."
     ] = None,
     no_judge: Annotated[bool, "Skip the search for causes of a misfit."] = False,
     channels: OnlyChannels = None,
@@ -138,7 +148,7 @@ def track(
         raise InputError(f"--live is {live:g}: give a positive number of seconds")
     parts, length_scale = gust_numbers(gusts or "0.3:5")
     if mean is None and any(each is not None for each in (gusts, coherence, places)):
-        raise InputError("--gusts, --coherence and --places apply to a wind: add --wind")
+        raise InputError("--gusts, --coherence and --places apply to an estimated wind: add --wind")
     flow = None if mean is None else velocity(mean, "--wind")
     if model is not None and is_result(model):
         stored_result(model)
@@ -147,7 +157,7 @@ def track(
     def some(recorded: "Run") -> "Run":
         return observing(recorded, channels) if channels else recorded
 
-    say_doubts(model, "what it tracks", quiet=quiet)
+    say_doubts(model, "the tracked motion", quiet=quiet)
     configure()
     from ..apps.tracking import (
         TRACK_FILES,
@@ -176,7 +186,7 @@ def track(
         for path in estimated:
             if path in considered:
                 raise InputError(
-                    f"{path} is given with --free and with --uncertain: give --free to estimate "
+                    f"{path} is given with both --free and --uncertain: keep --free to estimate "
                     "it, or --uncertain"
                 )
         return source, Unknown(
@@ -216,7 +226,10 @@ def track(
             said = f"note: {error}"
         else:
             facts["truth"] = {"nees_per_state": square, "within_95_percent": share}
-            said = f"truth: NEES {square:.3g} per state, {share:.1%} within the 95 % bands"
+            said = (
+                f"comparison with the truth: NEES {square:.3g} per state, {share:.1%} within "
+                "the 95 % bands"
+            )
     text = json.dumps(facts, indent=2, allow_nan=False)
     picture = to_png(track_figure(found))
     contents = {
@@ -298,7 +311,7 @@ def _follow(
             elif not quiet:
                 typer.echo(heard_line(heard))
     except KeyboardInterrupt:
-        typer.echo("stopped: the part that was read is tracked", err=True)
+        typer.echo("stopped: only the part read so far has been tracked", err=True)
         go_on()
     finally:
         if copy is not None:
@@ -322,9 +335,8 @@ def _estimated(given: list[str] | None, source: Any) -> dict[str, float]:
         value = find(model, path).value(model)
         if value is None or value.size != 1 or not float(value):
             raise InputError(
-                f"--free {path}: it is not a single number other than 0, so a relative "
-                "deviation is not defined; "
-                f"give its standard deviation, --free {path}=SD"
+                f"--free {path} is not a single nonzero number, so a relative standard "
+                f"deviation is not defined: give --free {path}=SD"
             )
         found[path] = _SHARE * abs(float(value))
     return found
@@ -367,7 +379,9 @@ def _numbers(given: list[str] | None, option: str) -> dict[str, float]:
     found: dict[str, float] = {}
     for path, value in plain_settings(given, option).items():
         if not isinstance(value, float) or not value > 0:
-            raise InputError(f"{option} {path}: give one positive number, a standard deviation")
+            raise InputError(
+                f"{option} {path} needs a standard deviation: give one positive number"
+            )
         found[path] = value
     return found
 
@@ -403,7 +417,7 @@ def _page(
             (
                 "Over time",
                 picture,
-                "The tip, the wind and the innovations; bands are 95 %. For a correct model, 95 % "
+                "The tip, the wind and the innovations, with 95 % bands. For a correct model, 95 % "
                 "of the innovations lie within the dotted lines.",
             )
         ],
@@ -418,8 +432,8 @@ def _show(found: "Track", verdict: "TrackVerdict", hidden: Any) -> None:
     print_table(TRACK_HEADINGS, track_rows(found))
     typer.echo(
         f"\n{len(found.times)} times, {found.arm.size} states, "
-        f"{1e3 * found.seconds:.2g} ms for each; NIS {verdict.nis:.3f} "
-        f"(1 within {4 * verdict.nis_error:.3f})"
+        f"{1e3 * found.seconds:.2g} ms per time; NIS {verdict.nis:.3f} "
+        f"(expected: 1 within {4 * verdict.nis_error:.3f})"
     )
     for note in track_notes(found, verdict, hidden):
         typer.echo(f"note: {note}")

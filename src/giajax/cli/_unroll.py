@@ -29,15 +29,15 @@ if TYPE_CHECKING:
 @command(
     """\b
 Examples:
-  giajax unroll             by hand, then filled, as in the paper
+  giajax unroll             unroll by hand, then fill, as in the paper
   giajax unroll --by-gas --out unrolled
-                            by gas, with files and figures
+                            unroll by gas, and write files and figures
   giajax unroll roll.toml --set film.peel=0.5 --json
-                            your roll with more adhesion of layers, as JSON
+                            use your roll with more adhesion; print JSON
 
 \b
-It writes
-  unrolling.json          times when the arm is paid out, full and aloft
+With --out DIR, the command writes
+  unrolling.json          times when the arm is unrolled, full and aloft
   unrolling.csv           length, speed, forces and energies over time
   unrolling.png           the same as a figure
   filling.*, inflation.toml
@@ -56,9 +56,10 @@ A definition is a TOML file with an [arm], a [filling] and an
 )
 def unroll(
     definition: Annotated[
-        Path | None, argument("DEFINITION", "File with [arm], [filling] and [unrolling].")
+        Path | None,
+        argument("DEFINITION", "TOML file with [arm], [filling] and [unrolling] sections."),
     ] = None,
-    pairs: Annotated[Texts, "PATH=VALUE", "A parameter, SI.", "--set"] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "Value of a parameter in SI units.", "--set"] = None,
     by_gas: Annotated[bool, "Unroll the arm by gas instead of by hand."] = False,
     out: Annotated[Path | None, "DIR", "Folder for tables and figures."] = None,
     as_json: Json = False,
@@ -135,10 +136,12 @@ def _show(unrolled: "Unrolled") -> None:
         why = "the supply is too weak or holds too little gas"
         if not unrolled.unrolling.by_gas:
             why = "the hand is too weak or too slow"
-        at = f"{unrolled.times[-1] / 60:.0f} min, at {unrolled.paid_out[-1]:.2f} m"
-        typer.echo(f"\nnot unrolled after {at}: {why}")
+        at = f"{unrolled.times[-1] / 60:.0f} min (unrolled length {unrolled.paid_out[-1]:.2f} m)"
+        typer.echo(f"\nthe arm is not fully unrolled after {at}: {why}")
         return
-    typer.echo(f"\nunrolled after {unrolled.handed_over / 60:.2f} min")
+    typer.echo(f"\nthe arm is unrolled after {unrolled.handed_over / 60:.2f} min")
     full = unrolled.duration / 60
-    typer.echo("it is never full" if np.isnan(full) else f"full after {full:.2f} min")
+    typer.echo(
+        "the arm is never full" if np.isnan(full) else f"the arm is full after {full:.2f} min"
+    )
     say_lift_off(unrolled.arm_lift_off)

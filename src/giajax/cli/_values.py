@@ -51,7 +51,7 @@ def _by_path(
         if value is None:
             raise InputError(f"{option} {pair!r} must be {form}: write it like {example}")
         if path in known:
-            raise InputError(f"{option} gives {path} twice: remove one")
+            raise InputError(f"{option} gives {path} twice: remove one of the two")
         known[path] = value
     return known
 
@@ -111,7 +111,9 @@ def noise_section(
         if value < 0:
             raise InputError(f"{option} '{key}={value:g}' is negative: give 0 or a positive number")
         if positive and value == 0:
-            raise InputError(f"{option} is 0, but no recording is exact: give a positive number")
+            raise InputError(
+                f"{option} is 0, but every recording has noise: give a positive number"
+            )
     return section
 
 
@@ -129,8 +131,7 @@ def deviations(
     for key in section:
         if not by_channel({key: 1.0}):
             raise InputError(
-                f"{option} {key} matches none of the recorded channels: correct the key, or leave "
-                "it out"
+                f"{option} {key} matches none of the recorded channels: correct the key, or omit it"
             )
     # A deviation of 0 is none, which [noise] does not state.
     return by_channel({key: value for key, value in section.items() if value > 0})

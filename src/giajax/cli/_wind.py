@@ -36,14 +36,14 @@ _FILES = ("wind.json", "wind.png")
     """\b
 Examples:
   giajax wind --data resting.csv --wind 0,0.2,0
-                            starting from a mean flow along y
+                            start from a mean flow along y
   giajax wind --data resting.csv --model giajax-out/run --out wind
-                            with the fitted arm, writing files
+                            use the fitted arm, and write files
   giajax wind --data resting.csv --wind 0,0.2,0 --free decay --skip 60 --json
-                            also fit the decay, without the first minute
+                            also fit the decay, and omit the first minute
 
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states
-an arm; the default is the sidecar's arm. NAME is speed, deviation,
+an arm; the default is the arm of the sidecar. NAME is speed, deviation,
 length_scale (free by default), decay, heading or climb (fixed by default).""",
     group="plan",
     pictures=True,
@@ -54,19 +54,21 @@ def wind(
     mean: Annotated[
         str | None,
         "X,Y,Z",
-        "Initial mean flow (m/s); its direction is fixed. [the run's or the arm's]",
+        "Initial mean flow (m/s), whose direction stays fixed. [default: from the run or the arm]",
         "--wind",
     ] = None,
-    gusts: Annotated[str, "I:L", "Initial intensity and length scale (m)."] = "0.2:5",
-    coherence: Annotated[float, "DECAY", "Decay of the coherence of gusts over distances."] = 12.0,
+    gusts: Annotated[str, "I:L", "Initial intensity and length scale (m) of the gusts."] = "0.2:5",
+    coherence: Annotated[float, "DECAY", "Decay of the coherence of gusts with distance."] = 12.0,
     free: Annotated[Texts, "NAME", "Also fit this parameter of the wind."] = None,
-    hold: Annotated[Texts, "NAME", "Hold this."] = None,
-    no_mean: Annotated[bool, "Do not use the mean position, only the motion about it."] = False,
+    hold: Annotated[Texts, "NAME", "Fix this parameter of the wind."] = None,
+    no_mean: Annotated[
+        bool, "Use only the motion about the mean position, not the mean position."
+    ] = False,
     skip: Annotated[
-        float | None, "S", "Leave out the first S seconds. [until the arm is at rest]"
+        float | None, "S", "Omit the first S seconds. [default: until the arm is at rest]"
     ] = None,
     highest: Annotated[
-        float | None, "HZ", "Highest frequency. [half the Nyquist frequency]"
+        float | None, "HZ", "Highest frequency used. [default: half the Nyquist frequency]"
     ] = None,
     channels: OnlyChannels = None,
     rename: Renamed = None,
@@ -97,7 +99,9 @@ def wind(
 
     stated = model_of(model, [run])
     if stated.kind != ARM.name:
-        raise InputError(f"the model is of the kind {stated.kind}: give the model of an arm")
+        raise InputError(
+            f"the model {stated.kind} is not the model of an arm: give the model of an arm"
+        )
     arm = cast("ArmModel", stated)
     names = [name for name in (*USUALLY, *(free or [])) if name not in (hold or [])]
     found = fit_wind(
@@ -115,7 +119,9 @@ def wind(
     )
     text = wind_json(found, run)
     if out is not None:
-        picture = to_png(wind_figure(found, f"{run.name}: spectra at rest, and those of the wind"))
+        picture = to_png(
+            wind_figure(found, f"{run.name}: spectra at rest, and those of the fitted wind")
+        )
         contents = {"wind.json": f"{text}\n".encode(), "wind.png": picture}
         write_folder(out, contents, force=force)
     if as_json:
@@ -124,7 +130,7 @@ def wind(
         return
     _show(found)
     if run.winds:
-        typer.echo("note: the run's own wind columns were not used")
+        typer.echo("note: the wind columns of the run were not used")
     if out is not None:
         say_written(out, _FILES)
 
@@ -133,13 +139,14 @@ def _show(found: "WindFit") -> None:
     rows = []
     for name, one in found.numbers.items():
         error = one.standard_error
-        word = "not determined" if one.free else "held"
+        word = "not determined" if one.free else "fixed"
         rows.append([name, one.value, word if error is None else error, one.unit or None])
     print_table(["number", "value", "standard error", "unit"], rows)
     flow = ", ".join(f"{part:.4g}" for part in found.wind.mean)
     typer.echo(f"\nmean flow ({flow}) m/s; {len(found.channels)} channels")
     typer.echo(
-        f"spectra over those expected {found.misfit[0]:.3f} (1 within {found.misfit[1]:.3f})"
+        f"ratio of the spectra to the expected spectra {found.misfit[0]:.3f} "
+        f"(expected: 1 within {found.misfit[1]:.3f})"
     )
     for note in found.notes:
         typer.echo(f"note: {note}")

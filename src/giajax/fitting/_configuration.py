@@ -84,8 +84,9 @@ class Tie:
         old = get(model, self.path)
         if value.ndim and value.shape != old.shape:
             raise InputError(
-                f"the tie of '{self.path}', which has {old.size} element{'s' * (old.size != 1)}, "
-                f"comes to {value.size} values: tie it to one value, or to one for each"
+                f"'{self.path}' has {old.size} element{'s' * (old.size != 1)}, but the expression "
+                f"of its tie has {value.size} values: tie it to one value, or to one for each "
+                "element"
             )
         if not old.ndim:
             return value
@@ -109,7 +110,8 @@ def resolved_ties(model: eqx.Module, texts: Mapping[str, str]) -> tuple[Tie, ...
             if element in owners:
                 other = ties[owners[element]].path
                 raise InputError(
-                    f"'{element}' is tied by '{other}' and by '{tie.path}': remove one"
+                    f"'{element}' is tied by both '{other}' and '{tie.path}': remove one of these "
+                    "ties"
                 )
             owners[element] = index
     needs = {
@@ -126,7 +128,7 @@ def resolved_ties(model: eqx.Module, texts: Mapping[str, str]) -> tuple[Tie, ...
     except graphlib.CycleError as error:
         names = " and ".join(sorted({f"'{ties[index].path}'" for index in error.args[1]}))
         raise InputError(
-            f"the ties of {names} follow from themselves: tie them to other parameters"
+            f"the ties of {names} are circular: tie them to other parameters"
         ) from None
     return tuple(ties[index] for index in order)
 
@@ -176,8 +178,8 @@ class WarmStart:
         """
         if not set(self.model.split("+")) <= set(model.kind.split("+")):
             raise InputError(
-                f"the fit for the warm start is of the {self.model} model and the runs are of the "
-                f"{model.kind} model: give a fit of the same kind"
+                f"the fit for the warm start uses the {self.model} model, but the runs use the "
+                f"{model.kind} model: give a fit of the same model"
             )
         try:
             whole = switched_on(model, self.values)
@@ -306,7 +308,9 @@ def _resolved(
     for path, value in (*start.items(), *fix.items()):
         check_count(model, path, value)
     for path in set(start) & set(fix):
-        raise InputError(f"'{path}' has a start and a fixed value: give one of them")
+        raise InputError(
+            f"'{path}' has both an initial value and a fixed value: give only one of them"
+        )
     by_default = default_free(model, start) if free is None else ()
     chosen = [*by_default, *asked]
     fixed = {element.path for path in fix for element in elements(model, path)}
@@ -317,13 +321,15 @@ def _resolved(
     for path in (*asked, *fix, *start):
         if all(element.path in following for element in elements(model, path)):
             how = "free" if path in asked else "fixed" if path in fix else "given a start"
-            raise InputError(f"'{path}' is tied to others and {how}: leave one of the two out")
+            raise InputError(
+                f"'{path}' is tied to other parameters and also {how}: omit one of the two"
+            )
     parameters: dict[str, Parameter] = {}
     for path in chosen:
         for element in elements(model, path):
             if element.path in fixed:
                 if path in asked:
-                    raise InputError(f"'{element.path}' is both free and fixed: give one of them")
+                    raise InputError(f"'{element.path}' is both free and fixed: choose one of them")
             elif element.path not in following:
                 parameters[element.path] = element
     parameters |= _bounded(model, parameters, settings.bounds)
@@ -372,16 +378,16 @@ def _bounded(
     for path, pair in bounds.items():
         if np.shape(pair) != (2,) or not np.all(np.isfinite(pair)) or not pair[0] < pair[1]:
             raise InputError(
-                f"the bounds of '{path}' must be two numbers, the lower one first: give them like "
-                "0.01,1.0"
+                f"the bounds of '{path}' must be two numbers, the lower one first: write, for "
+                "example, 0.01,1.0"
             )
         low, high = map(float, pair)
         for element in _free_elements(model, path, parameters, "bounds"):
             declaration = element.declaration
             if low < declaration.lower or high > declaration.upper:
                 raise InputError(
-                    f"the bounds {low:g} and {high:g} of '{path}' are not within those that it "
-                    f"has: stay between {declaration.lower:g} and {declaration.upper:g}"
+                    f"the bounds {low:g} and {high:g} of '{path}' exceed its permitted "
+                    f"range: stay between {declaration.lower:g} and {declaration.upper:g}"
                 )
             narrow = dataclasses.replace(declaration, lower=low, upper=high)
             bounded[element.path] = dataclasses.replace(element, declaration=narrow)
@@ -405,7 +411,8 @@ def _element_priors(
             declaration = element.declaration
             if prior.logarithmic and declaration.lower < 0:
                 raise InputError(
-                    f"'{path}' may be negative, and its prior has a factor: give a deviation"
+                    f"'{path}' may be negative, but its prior is given by a factor: give a "
+                    "deviation instead"
                 )
             if not declaration.lower < prior.value < declaration.upper:
                 raise InputError(
@@ -423,7 +430,7 @@ def _free_elements(
     parts = elements(model, path)
     free = [parameters[part.path] for part in parts if part.path in parameters]
     if not free:
-        raise InputError(f"'{path}' has {what} and is not free: free it, or leave {what} out")
+        raise InputError(f"'{path}' has {what} but is not free: free it, or omit {what}")
     return free
 
 
@@ -464,7 +471,7 @@ def set_up(
     settings = fit_settings(keywords, settings=settings)
     runs = (runs,) if isinstance(runs, Run) else tuple(runs)
     if not runs:
-        raise InputError("there is no run: give at least one")
+        raise InputError("no run is given: give at least one")
     for run in runs:
         run.require_observations()
     _check_doubles(runs)
@@ -580,8 +587,8 @@ def _check_together(setup: Setup) -> None:
     if setup.groups:
         path = next(iter(setup.groups))
         raise InputError(
-            f"'{path}' has values for single runs, and the runs are of several models: leave them "
-            "out, or fit the runs of one model"
+            f"'{path}' has values for individual runs, but the runs use several models: omit "
+            "these values, or fit only the runs of one model"
         )
     joins = [
         tie
@@ -590,8 +597,8 @@ def _check_together(setup: Setup) -> None:
     ]
     if not joins and not any(p.is_shared for p in setup.parameters):
         raise InputError(
-            f"no parameter that is free belongs to more than one of the models of these runs, "
-            f"{' and '.join(kinds)}: free or tie one that does, or fit them separately"
+            f"no free parameter is shared by any two of the models of these runs, "
+            f"{' and '.join(kinds)}: free or tie a shared parameter, or fit the models separately"
         )
 
 

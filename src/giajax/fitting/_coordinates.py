@@ -306,12 +306,14 @@ def sharing(
         name, recording = run.recording, run.path or id(run)
         if recordings.setdefault(name, recording) != recording:
             raise InputError(
-                f"two runs are called '{name}', so results of one of them would be ambiguous: "
-                "rename one"
+                f"two runs are called '{name}', so their results would be ambiguous: "
+                "rename one of them"
             )
     alone = [[name] for name in dict.fromkeys(run.recording for run in runs)]
     for path in sorted(set(per_run) & set(groups)):
-        raise InputError(f"'{path}' has a value for each run and groups of runs: give one of them")
+        raise InputError(
+            f"'{path}' is estimated both per run and per group of runs: choose one of them"
+        )
     each = {path: [list(names) for names in sharing] for path, sharing in groups.items()}
     return {**dict.fromkeys(per_run, alone), **each}
 
@@ -328,7 +330,7 @@ def members(
     for name in (name for names in groups for name in names):
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
-            remedy = f"did you mean '{near[0]}'?" if near else "name runs as their files"
+            remedy = f"did you mean '{near[0]}'?" if near else "use the file names of the runs"
             raise InputError(f"the groups of '{path}' name '{name}', which is not a run: {remedy}")
     positions = tuple(
         tuple(i for i, run in enumerate(runs) if {run.name, run.recording} & set(names))
@@ -338,5 +340,5 @@ def members(
         count = sum(index in group for group in positions)
         if count != 1:
             where = "no group" if count == 0 else "several groups"
-            raise InputError(f"run '{run.name}' is in {where} of '{path}': put it in one")
+            raise InputError(f"run '{run.name}' is in {where} of '{path}': assign it to one group")
     return tuple(group for group in positions if group)

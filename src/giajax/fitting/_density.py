@@ -39,8 +39,8 @@ def check_proper(statistics: Statistics, lower: np.ndarray, upper: np.ndarray) -
     ]
     if loose:
         raise InputError(
-            "there is no posterior, because neither data nor two bounds limit "
-            f"{' and '.join(loose)}: hold it, give it a prior or bounds, and fit again"
+            "the posterior is improper, because neither the data nor two bounds limit "
+            f"{' and '.join(loose)}: fix it, or give it a prior or two bounds, and fit again"
         )
 
 

@@ -77,7 +77,7 @@ def units_note(estimates: Mapping[str, Estimate], model: AbstractModel) -> str:
     if factors <= {1.0}:
         return ""
     names = " and ".join(channel.column for channel in columns.values())
-    return f"those of {names}; result.json, --start and --fix are in SI"
+    return f"those of {names}; result.json, --start and --fix use SI units"
 
 
 def _columns(model: AbstractModel) -> dict[str, Channel]:
@@ -215,7 +215,7 @@ def derived_quantity(
     """
     shared, of_values = problem.shared, derived_quantities(problem, values)
     if name not in jax.eval_shape(of_values, jnp.asarray(values[:shared])):
-        raise InputError(f"'{name}' does not follow from what was free in this fit")
+        raise InputError(f"'{name}' is not derived from the free parameters of this fit")
     compiled = jax.jit(jax.value_and_grad(lambda shared: of_values(shared)[name]))
 
     def quantity(values: np.ndarray) -> tuple[float, np.ndarray]:
@@ -356,7 +356,7 @@ def responses(
             # Derivatives may take other steps than the motion, which is right by itself then.
             ready = capabilities.for_derivatives(model, (*paths, *(path for path, _ in sizes)))
             why = capabilities.failure(ready, first)
-            why = why or "a derivative of it is not finite"
+            why = why or "one of its derivatives is not finite"
             raise InputError(f"the fitted model cannot be evaluated: {why}")
         for member, table, block in zip(members, tables, blocks, strict=True):
             observed = np.stack([runs[member].observations[c] for c in channels], axis=-1)

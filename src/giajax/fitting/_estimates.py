@@ -125,9 +125,9 @@ def _outliers(state: FitState) -> Iterator[Finding]:
             yield Finding(
                 "outliers",
                 (),
-                f"cells of {run.name} are more than {_OUT:g} times the usual distance away: "
+                f"some residuals of {run.name} exceed {_OUT:g} times the typical residual: "
                 f"{'; '.join(said[:5])}{'; ...' * (len(said) > 5)}",
-                "empty them if the recording is wrong there, or fit with --loss student_t, which "
+                "empty these cells if the recording is wrong, or fit with --loss student_t, which "
                 "is robust to outliers",
             )
 
@@ -151,7 +151,7 @@ def _without_response(state: FitState, statistics: Statistics) -> Iterator[Findi
             names,
             f"no channel responds to {', '.join(names)}",
             _unless_far_off(
-                state, "leave it fixed, give it a prior, or record a motion that depends on it"
+                state, "fix it, give it a prior, or record a motion that depends on it"
             ),
         )
 
@@ -175,8 +175,8 @@ def _together(state: FitState, statistics: Statistics) -> Iterator[Finding]:
             "only_combinations",
             names,
             f"the data do not determine {', '.join(names)} separately, only {said}",
-            f"state one of them with its deviation as a prior, or fix it ({one_of(names)}); "
-            "the combinations do not depend on which",
+            f"give one of them a prior with its deviation, or fix it ({one_of(names)}); "
+            "the combinations do not depend on this choice",
         )
 
 
@@ -193,8 +193,8 @@ def _correlated(state: FitState, statistics: Statistics) -> Iterator[Finding]:
         return
     advice = _unless_far_off(
         state,
-        "do not interpret one without the other; a prior on one, or a run in which they act at "
-        "different times, distinguishes them",
+        "do not interpret one without the other; to separate them, give one of them a prior, or "
+        "record a run in which they act at different times",
     )
     for _, i, j in sorted(pairs, reverse=True)[:_MOST_PAIRS]:
         names = (statistics.labels[determined[j]], statistics.labels[determined[i]])
@@ -224,7 +224,7 @@ def _at_bounds(state: FitState, statistics: Statistics) -> Iterator[Finding]:
         yield Finding(
             "at_a_bound",
             (name,),
-            f"{name} is at its {side} bound {bound:g}, and {most} (one-sided, 95 %)",
+            f"{name} is at its {side} bound {bound:g}; its value is {most} (one-sided, 95 %)",
             "use the one-sided interval instead of the error, and check the bound and the rest of "
             "the model",
         )
@@ -243,7 +243,7 @@ def _priors(state: FitState, statistics: Statistics) -> Iterator[Finding]:
             yield Finding(
                 "against_its_prior",
                 (name,),
-                f"the data move {name} by {abs(row):.2g} standard deviations of its prior",
+                f"the data shift {name} by {abs(row):.2g} standard deviations of its prior",
                 "check the prior and the rest of the model",
             )
         elif name in state.setup.nuisances:
@@ -288,10 +288,10 @@ def beyond_usual(state: FitState, statistics: Statistics) -> Reason | None:
             command = " ".join(f"--free {each}" for each in [*asked, name])
             how = "" if "[" in name else f", or fit it without a prior, by {command}"
             sentence = (
-                f"{name} is {value} +- {deviation}, which is {abs(row):.2g} deviations from its "
-                f"usual value, and changes {path} "
+                f"{name} is {value} +- {deviation}, which is {abs(row):.2g} standard deviations "
+                f"from its usual value, and changes {path} "
                 f"by {moved[most]:.2g} of its standard errors: check for other effects with the "
-                "same signature, or state its known value in "
+                "same effect on the data, or state its known value in "
                 f"[uncertainty]{how}"
             )
             found.append(Reason("prior", sentence, min(chance, 1.0), float(moved[most])))
@@ -332,9 +332,9 @@ def _bent(statistics: Statistics, curvatures: Mapping[int, Curvature]) -> Iterat
             yield Finding(
                 "curved",
                 (name,),
-                f"the standard error of {name} is not reliable, because within it the second "
-                f"derivatives change the cost by {bent.left_out:+.0%}, and the two sides differ "
-                f"by {bent.skew:+.0%}",
+                f"the standard error of {name} is not reliable: within one standard error, the "
+                f"second derivatives change the cost by {bent.left_out:+.0%}, and the costs on "
+                f"the two sides differ by {bent.skew:+.0%}",
                 "compute its interval with giajax profile, or record more data",
             )
 
@@ -345,10 +345,10 @@ def _short(correlation_times: Sequence[tuple[str, float]]) -> Iterator[Finding]:
             yield Finding(
                 "short_record",
                 (),
-                f"'{name}' is {count:.2g} correlation times of its noise long",
-                f"record at least {_LONG_ENOUGH:g} of them, or state its correlated part in "
-                "[noise] (such as position_correlated_m and position_correlation_s): it cannot be "
-                "estimated from fewer",
+                f"the record '{name}' lasts only {count:.2g} correlation times of its noise",
+                f"record at least {_LONG_ENOUGH:g} correlation times, or state the correlated "
+                "noise in [noise] (such as position_correlated_m and position_correlation_s), "
+                "which cannot be estimated from a shorter record",
             )
 
 
@@ -385,7 +385,7 @@ def _free(
         return Estimate(
             value=float(np.mean(statistics.values[list(places)])),
             standard_error=error,
-            remark=f"mean of {len(places)} values, one for each {runs}; result.json has them",
+            remark=f"mean of {len(places)} values, one for each {runs}; result.json lists them",
             **common,
         )
     value = float(statistics.values[index])
@@ -443,7 +443,7 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
     for group in statistics.together:
         if index in group:
             others = ", ".join(statistics.labels[i] for i in group if i != index)
-            return f"not determined alone: only a combination with {others} is"
+            return f"not determined alone: only a combination with {others} is determined"
     if error is None:
         return "not determined: no channel responds to it at its final value"
     if index in statistics.bounds and not _is_optimum(state):
@@ -455,7 +455,7 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
         )
     share = statistics.prior_shares.get(index, 0.0)
     if share > _MOSTLY:
-        return f"its value is mainly that of its prior ({share:.0%} of what is known of it)"
+        return f"its value comes mainly from its prior ({share:.0%} of the information)"
     if error > abs(statistics.values[index]):
         return "barely determined: the standard error exceeds the value"
     nuisances = [statistics.labels[i] in state.setup.nuisances for i in statistics.determined]
@@ -470,7 +470,7 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
     by_noise = statistics.noise_errors.get(index)
     if by_noise is not None and by_noise < _NOISE_ALONE * error:
         rest = np.sqrt(error**2 - by_noise**2)
-        return f"{by_noise:.2g} by noise, {rest:.2g} by nuisance parameters"
+        return f"error: {by_noise:.2g} from noise, {rest:.2g} from nuisance parameters"
     return ""
 
 

@@ -133,12 +133,12 @@ def _note(state: FitState, known: Statistics) -> str:
             "samples, which affects the standard errors"
         )
     if not state.noise.is_white:
-        note += "; the noise is correlated in time, which the standard errors include"
+        note += "; the standard errors include the correlation of the noise in time"
     ratio = np.sqrt(known.reduced_chi_square)
     if ratio > _NOTABLE:
         note += f"; the residuals are {ratio:.3g} times the noise"
         if known.scale > 1:
-            note += ", and the standard errors are scaled by that"
+            note += ", and the standard errors are scaled by this factor"
     return note
 
 
@@ -279,7 +279,7 @@ def check_effect(settings: FitSettings, keywords: type, function: str) -> None:
     for name in settings.contents():
         if name not in keywords.__annotations__:
             raise InputError(
-                f"{function} fits only the given runs and does not accept {name}: leave it out, or "
+                f"{function} fits only the given runs and does not accept {name}: omit it, or "
                 "use giajax.FitTask"
             )
 
@@ -319,7 +319,7 @@ def solve(
         except InputError:
             raise
         except (ValueError, LookupError, TypeError, ArithmeticError):
-            raise InputError(f"{CHANGED}: start again without it") from None
+            raise InputError(f"{CHANGED}: start again without the journal") from None
         began -= before
         keep = journal_writer(state, journal, lambda: time.perf_counter() - began)
     state = descend(state, max_iterations, progress, budget=budget, keep=keep)
@@ -347,8 +347,8 @@ def _warn_once_in_32_bit() -> None:
         return
     _warned = True
     warnings.warn(
-        "giajax is fitting in 32-bit, where a long chain keeps about three digits: call "
-        'jax.config.update("jax_enable_x64", True) before anything else',
+        "giajax is fitting in 32-bit precision, which is accurate to about three digits for a long "
+        'chain: call jax.config.update("jax_enable_x64", True) before any other JAX operation',
         stacklevel=4,
     )
 

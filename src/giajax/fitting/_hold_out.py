@@ -125,7 +125,7 @@ def set_up_with_hold_out(
     for model in dict.fromkeys(run.model for run in runs):
         if fitted and not any(run.model == model for run in fitted):
             raise InputError(
-                f"every run of the {model} model is held out, so there is no model to predict "
+                f"every run of the {model} model is held out, so no fitted model can predict "
                 "them: hold out only some of them"
             )
     if len(fitted) < len(parts):
@@ -406,8 +406,8 @@ class PredictionTest:
                     continue
                 where = "" if names == groups[0] else f" of {', '.join(names)}"
                 sentence = (
-                    f"the held-out data{where} are {found.size:.3g} times as far off as noise and "
-                    "the uncertainty of the parameters allow"
+                    f"the prediction errors of the held-out data{where} are {found.size:.3g} "
+                    "times those expected from noise and the uncertainty of the parameters"
                 )
                 yield Reason("prediction", sentence, found.p_value, found.size, names)
 

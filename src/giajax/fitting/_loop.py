@@ -33,7 +33,7 @@ class Budget:
     @property
     def ended_it(self) -> str:
         """Words for a message."""
-        return f"the budget of {time_in_words(self.seconds)} ended the fit"
+        return f"the time budget of {time_in_words(self.seconds)} was exhausted"
 
 
 # Why a fit ends where it is not at an optimum: what stops it, told from its last steps.
@@ -94,10 +94,11 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
         if gain < little and gain < state.predicted_decrease():
             if not bool(state.inner.finite):
                 return _stuck(state)
-            advice = "give that a prior, fix it or start from other values"
+            advice = "give it a prior, fix it, or start from other values"
             return "crawl", (
-                f"the last {_STEPS} iterations lowered the cost by {gain / costs[-1]:.1g} of it, "
-                f"mostly along {_direction(state)}{_cannot_describe(state) or f': {advice}'}"
+                f"the last {_STEPS} iterations lowered the cost by a fraction of only "
+                f"{gain / costs[-1]:.1g}, mostly along "
+                f"{_direction(state)}{_cannot_describe(state) or f': {advice}'}"
             )
     return None
 
@@ -142,12 +143,12 @@ def _stuck(state: FitState) -> tuple[Reason, str]:
     """No step is accepted any more: the model fails beyond, or its cost is not smooth."""
     if not bool(state.inner.finite):
         return "wall", (
-            "the model cannot be evaluated beyond the current point, and the optimum is not "
+            "the model cannot be evaluated beyond the current point, but the optimum is not "
             "reached: start from other values, or set bounds on the diverging parameters"
         )
     return "rough", (
-        "no step lowers the cost any further, and the optimum is not reached: give a tighter "
-        "tolerance if the model has one, start from other values or free fewer parameters"
+        "no step lowers the cost further, but the optimum is not reached: use a tighter solver "
+        "tolerance if the model has one, start from other values, or free fewer parameters"
     )
 
 
@@ -192,7 +193,9 @@ def advance_alone(state: FitState) -> FitState:
     if not state.evaluated:
         state = step(state)
         if not state.evaluated:
-            return state.ended("not_converged", "the model cannot be evaluated there", "wall")
+            return state.ended(
+                "not_converged", "the model cannot be evaluated at this point", "wall"
+            )
         # What was not left out may leave some without a response.
         moves = responds(state.natural_jacobian.norms(), state.sizes)
         state = with_active(state, moves & np.asarray(state.active))
@@ -254,7 +257,7 @@ def descend(
         # An optimum that was reached in this very moment is one.
         if reached.ending is not None:
             return reached
-        sentence = f"interrupted after {reached.trials} iterations; this is the best so far"
+        sentence = f"interrupted after {reached.trials} iterations; this is the best point so far"
         sentence += _rows(reached)
         # Interrupted once more, it ends with what counted.
         with contextlib.suppress(KeyboardInterrupt):
@@ -275,15 +278,16 @@ def _limit(
     if not state.evaluated or state.done:
         return None
     if state.trials >= max_iterations:
-        advice = ": start closer to the optimum, free fewer parameters or allow more iterations"
+        advice = ": start closer to the optimum, free fewer parameters, or allow more iterations"
         return (
-            f"no optimum after {state.trials} iterations{_cannot_describe(state) or advice}",
+            f"no optimum was reached after {state.trials} "
+            f"iterations{_cannot_describe(state) or advice}",
             "iterations",
         )
     if budget is not None and budget.left() < float(np.median(state.step_seconds[1:] or [0.0])):
         return (
-            f"{budget.ended_it} after {state.trials} iterations; this is the best so far: continue "
-            "from there, or allow more time",
+            f"{budget.ended_it} after {state.trials} iterations; this is the best point so far: "
+            "continue from this point, or allow more time",
             "budget",
         )
     return None
@@ -294,8 +298,8 @@ def _at_start(state: FitState) -> FitState:
     state = step(state)
     if not state.evaluated:
         raise InputError(
-            "the model cannot be evaluated at the start values (the simulation fails): "
-            "choose other values (for an arm, softer or less damped joints), or a shorter run"
+            "the model cannot be evaluated at the initial values (the simulation fails): "
+            "choose other values (for an arm, softer or less damped joints), or use a shorter run"
         )
     moves = responds(state.natural_jacobian.norms(), state.sizes)
     state = with_active(state, moves)
@@ -366,7 +370,10 @@ def _by_optimiser(state: FitState) -> FitState:
         return dataclasses.replace(there, done=False, converged=False)
     reason: Reason
     if int(count) >= left:
-        how, reason = f"found no optimum in {most} iterations: allow more, or", "iterations"
+        how, reason = (
+            f"found no optimum in {most} iterations: allow more iterations, or",
+            "iterations",
+        )
     elif successful:
         how, reason = "ended before convergence: give it smaller tolerances, or", "crawl"
     else:

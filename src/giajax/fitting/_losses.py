@@ -163,8 +163,8 @@ class AbstractLoss(eqx.Module):
         name = name_of(type(self))
         if registered(self.registered_as, name) is not type(self):
             raise InputError(
-                f"the loss {name} is not registered, and a result could not name it: call "
-                "giajax.register of its class"
+                f"the loss {name} is not registered, so a result cannot refer to it: call "
+                "giajax.register on its class"
             )
         values = _parameters(self)
         return {"name": name, **values} if values else name
@@ -178,13 +178,13 @@ def _parameters(loss: AbstractLoss) -> dict[str, int | float]:
         value = given.item() if isinstance(given, np.generic) else given
         if not (isinstance(value, int | float) and math.isfinite(value)):
             raise InputError(
-                f"the loss {name} has {each.name} = {given!r}, which no file can state: give a "
-                "finite number"
+                f"the loss {name} has {each.name} = {given!r}, which cannot be stored in a file: "
+                "give a finite number"
             )
         if each.name == "name":
             raise InputError(
-                f"the loss {name} has a parameter called name, as files call the loss itself: "
-                "give it another name"
+                f"the loss {name} has a parameter called 'name', which files reserve for the loss "
+                "itself: rename the parameter"
             )
         values[each.name] = value
     return values
@@ -283,7 +283,7 @@ def loss_of(said: str | Mapping[str, Any]) -> AbstractLoss:
     values: dict[str, Any] = {"name": said} if isinstance(said, str) else dict(said)
     name = values.pop("name")
     if (found := registered(AbstractLoss.registered_as, name)) is None:
-        raise InputError(f"there is no loss '{name}' here: register its class, or correct the name")
+        raise InputError(f"unknown loss '{name}': register its class, or correct the name")
     try:
         whole = {each.name for each in dataclasses.fields(found) if type(each.default) is int}
         for key, value in values.items():
@@ -295,8 +295,8 @@ def loss_of(said: str | Mapping[str, Any]) -> AbstractLoss:
         raise
     except Exception as error:
         raise InputError(
-            f"the loss {name} cannot be made ({error}): give numbers for the parameters that it "
-            "has, each of which has a default"
+            f"the loss {name} cannot be created ({error}): give numbers for its own "
+            "parameters, each of which needs a default"
         ) from None
     return loss
 
@@ -312,7 +312,7 @@ def check_loss(loss: AbstractLoss) -> None:
     """
     if not isinstance(loss, AbstractLoss):
         raise InputError(
-            f"{shown(loss)} is not a loss: give an object of a class derived from "
+            f"{shown(loss)} is not a loss: give an instance of a class derived from "
             "giajax.fitting.AbstractLoss, such as giajax.fitting.StudentT()"
         )
     _parameters(loss)  # what can be hashed
@@ -326,7 +326,7 @@ def _check_rho(loss: AbstractLoss) -> None:
     for name, own in vars(AbstractLoss).items():
         if name[0] != "_" and name != "rho" and getattr(cls, name) is not own:
             raise InputError(
-                f"{cls.__name__} defines {name}, which follows from rho: leave it out, and derive "
+                f"{cls.__name__} defines {name}, which is derived from rho: remove it, and derive "
                 "the class from AbstractLoss"
             )
     what = f"{type(loss).__name__}.rho"
@@ -335,11 +335,13 @@ def _check_rho(loss: AbstractLoss) -> None:
         given: Any = loss.rho(r)
         if (shape := getattr(given, "shape", None)) != r.shape:
             raise InputError(
-                f"{what} returns the shape {shape} for residuals of shape {r.shape}: return a "
-                "number for each of them"
+                f"{what} returns an array of shape {shape} for residuals of shape {r.shape}: "
+                "return one number for each residual"
             )
         if given.dtype != r.dtype:
-            raise InputError(f"{what} returns {given.dtype} for {r.dtype}: keep the type")
+            raise InputError(
+                f"{what} returns {given.dtype} for residuals of {r.dtype}: keep the data type"
+            )
         found, mirrored = _scores(loss, r), np.asarray(loss.rho(-r))
         few, more = loss.rho(r[::2]), loss.rho(jnp.append(jnp.zeros_like(r), r))[r.size :]
     rho, psi, curvature, _ = (np.asarray(each) for each in found)
@@ -351,27 +353,31 @@ def _check_rho(loss: AbstractLoss) -> None:
 
     for name, values in names.items():
         refuse(~np.isfinite(values), f"has a {name} that is not finite", "correct it")
-    refuse(rho < 0, "is negative", "use a smooth function, such as r^2 near 0")
+    refuse(rho < 0, "is negative", "make it at least 0, and r^2 near 0")
     rounding = 1e-9 if rho.dtype == np.float64 else 1e-4
     uneven = np.abs(mirrored - rho) > rounding * np.abs(rho)
-    refuse(uneven, "differs from what it is at -r", "make it depend on |r| alone")
+    refuse(uneven, "differs from its value at -r", "make it depend only on |r|")
     beside = np.abs(np.asarray(more) - rho)
     beside[::2] += np.abs(np.asarray(few) - rho[::2])
-    refuse(beside > rounding * rho, "depends on the other residuals", "score each by itself")
+    refuse(
+        beside > rounding * rho,
+        "depends on the other residuals",
+        "evaluate each residual separately",
+    )
     if rho[0] != 0 or abs(curvature[0] - 1) > rounding:
         raise InputError(
-            f"{what} begins as {rho[0]:.3g} + {curvature[0]:.6g} r^2, but must begin as r^2, "
-            "because residuals are in units of the noise: scale it"
+            f"{what} is {rho[0]:.3g} + {curvature[0]:.6g} r^2 near r = 0, but must be r^2 there, "
+            "because residuals are in units of the noise: rescale it"
         )
     falling = np.append(False, np.diff(rho) < -rounding * rho[1:])
-    refuse(falling, "falls for larger residuals", "make it increase with |r|")
+    refuse(falling, "decreases for larger residuals", "make it increase with |r|")
     size = np.asarray(r)
     rounded = 4 * np.finfo(rho.dtype).eps
     bent = (np.abs(rho - size**2) > 0.01 * size**2 + rounded) & (size < 2e-3)
     refuse(
         bent,
-        "is no longer r^2",
-        "make it start as r^2, because residuals are in units of the noise",
+        "deviates from r^2 near 0",
+        "make it equal to r^2 there, because residuals are in units of the noise",
     )
     # Coarse: psi may have a corner, or end at once.
     sums = np.append(0.0, np.cumsum((psi[1:] + psi[:-1]) * np.diff(size)))

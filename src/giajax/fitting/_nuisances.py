@@ -78,8 +78,8 @@ def _stated(runs: Sequence[Run]) -> dict[str, Any]:
         for path, deviations in run.definition.uncertainty.deviations.items():
             if stated.setdefault(path, deviations) != deviations:
                 raise InputError(
-                    f"the runs state different [uncertainty] of {path}: state one, or fit them "
-                    "separately"
+                    f"the runs state different values of [uncertainty] for {path}: state one "
+                    "value, or fit the runs separately"
                 )
     return stated
 
@@ -92,7 +92,7 @@ def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
         about = absent.declaration
         if not about.lower < about.neutral < about.upper:
             raise InputError(
-                f"[uncertainty] names {path}, which this model leaves out: state its value, too"
+                f"[uncertainty] names {path}, which this model omits: state its value, too"
             )
         model = absent.set(model, about.neutral)
     if name in capabilities.scattering(model):
@@ -138,8 +138,8 @@ def _add(
     sizes = np.asarray(deviations, dtype=float)
     if sizes.size not in (1, len(parts)):
         raise InputError(
-            f"[uncertainty] of {path} has {sizes.size} values, and it has {len(parts)}: give one, "
-            "or one for each"
+            f"[uncertainty] states {sizes.size} values for {path}, which has {len(parts)}: give "
+            "one value, or one for each element"
         )
     values = [float(part.value(model)) for part in parts]
     if sizes.ndim == 0 and len(parts) > 1 and not parts[0].declaration.shape:

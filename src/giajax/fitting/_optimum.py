@@ -164,7 +164,9 @@ class Optimum:
         for label, value in (held or {}).items():
             place = self.position(label)
             if not lower[place] <= value <= upper[place]:
-                raise InputError(f"{label} cannot be held at {value:g}, beyond its bounds")
+                raise InputError(
+                    f"{label} cannot be fixed at {value:g}, which is outside its bounds"
+                )
             values[place], active[place] = value, False
         values = np.clip(values, lower, upper)
         problem = state.problem

@@ -541,7 +541,9 @@ def matching_runs(
         for run, record in zip(several, records, strict=True)
     )
     if not same:
-        raise InputError("the runs are not those of the result: give the same ones in their order")
+        raise InputError(
+            "the runs are not those of the result: give the same runs in the same order"
+        )
     return several
 
 

@@ -401,7 +401,7 @@ def arm_model_of(model: AbstractModel | FitResult) -> ArmModel:
     stated = model.model if isinstance(model, FitResult) else model
     if stated.kind != ARM.name:
         raise InputError(
-            f"the model is that of a {stated.kind}, and this is for arms: give a fit of one, or "
+            f"the model is a {stated.kind} model, but an arm is required: give a fit of an arm, or "
             "its file"
         )
     return cast("ArmModel", stated)
@@ -429,7 +429,7 @@ def load_result(path: str | Path) -> FitResult:
     except InputError as error:
         raise InputError(f"{error}{hint(fields['versions'])}") from None
     except (ValueError, LookupError, ArithmeticError, TypeError, AttributeError):
-        raise InputError(f"{what} (its parameters are not those of its model): {_REMEDY}") from None
+        raise InputError(f"{what} (its parameters do not match its model): {_REMEDY}") from None
 
 
 def parse_result(text: str, model: AbstractModel) -> FitResult:

@@ -430,7 +430,7 @@ _STORED = {"finite": "sound"}  # their names in a journal, where they are others
 # Attributes of a state that a line has as they are.
 _AS_THEY_ARE = ("part", "trials", "done", "converged", "rounds_left", "round_began", "ending")
 
-CHANGED = "the journal is not that of this fit, or a line of it was changed"
+CHANGED = "the journal belongs to another fit, or one of its lines was changed"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -488,12 +488,12 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
     if not journal.lines:
         return begun, 0.0
     records = [{name: one for name, one in line.items() if name != "fit"} for line in journal.lines]
-    remedy = "begin again without it"
+    remedy = "start again without the journal"
     lines = [from_plain(KeptState, record, CHANGED, remedy) for record in records]
     last = lines[-1]
     coordinate, active = np.asarray(last.coordinate, dtype=float), np.asarray(last.active)
     if coordinate.shape != begun.coordinate.shape or active.shape != coordinate.shape:
-        raise ValueError("another number of free coordinates")
+        raise ValueError("has a different number of free coordinates")
     if last.distances is not None:
         begun = in_coordinates(begun, begun.problem.bijector.linear_within(last.distances))
     there = at_tolerance(reweight(begun, begun.noise.again(last.noise)), last.tolerance)
@@ -546,6 +546,6 @@ def _with_solver(inner: MarquardtState, stored: Mapping[str, Any]) -> MarquardtS
         before = getattr(inner, name)
         value = jnp.asarray(stored[_STORED.get(name, name)], dtype=before.dtype)
         if value.shape != before.shape:
-            raise ValueError(f"{name} has another shape")
+            raise ValueError(f"{name} has a different shape")
         values.append(value)
     return eqx.tree_at(lambda inner: [getattr(inner, name) for name in _SOLVER], inner, values)

@@ -233,9 +233,9 @@ def by_a_few_cells(series: Sequence[Series]) -> Reason | None:
             if both is not None and both[1] > both[0]:
                 size = each.from_differences / both[0]
                 sentence = (
-                    f"the noise adopted for {each.channel} is that from a few cells, which make it "
-                    f"{size:.3g} times the difference between neighbouring samples: empty them, "
-                    "or fit with --loss student_t"
+                    f"the noise estimate of {each.channel} is dominated by a few cells, which "
+                    f"make it {size:.3g} times the difference between neighbouring samples: empty "
+                    "these cells, or fit with --loss student_t"
                 )
                 p = tail(each.white_degrees_of_freedom, DIFFERENCES * len(each), size**2)
                 yield Reason("outliers", sentence, p, size, (each.channel,))
@@ -282,7 +282,7 @@ def _against_stated(series: Sequence[Series], *, below: bool) -> Reason | None:
             elif 0 < size < 1 / _FAR_BELOW:
                 sentence = (
                     f"the residuals are {1 / size:.3g} times smaller than the stated noise{where}, "
-                    "so it or the unit of a column is wrong"
+                    "so the stated noise or the unit of a column is wrong"
                 )
                 p = float(chdtr(degrees_of_freedom, total))
                 yield Reason("too_small", sentence, p, 1 / size, names)
@@ -313,8 +313,9 @@ def correlated(series: Sequence[Series]) -> Reason | None:
             size = float(np.sqrt(1 + share))
             where = "" if names == groups[0] else f" of {', '.join(names)}"
             sentence = (
-                f"the residuals{where} are correlated, by noise or missing physics: with the "
-                f"correlation they are {size:.3g} times the difference between neighbouring cells"
+                f"the residuals{where} are correlated, because of noise or missing physics: with "
+                f"the correlation they are {size:.3g} times the difference between neighbouring "
+                "cells"
             )
             yield Reason("correlation", sentence, p, size, names)
 
@@ -337,8 +338,8 @@ def beyond_differences(series: Sequence[Series]) -> Reason | None:
             degrees_of_freedom = sum(each.degrees_of_freedom for each in chosen)
             size = float(np.sqrt(total / degrees_of_freedom))
             sentence = (
-                f"the noise adopted for {name} is {size:.3g} times the difference of neighbouring "
-                "residuals"
+                f"the noise estimate of {name} is {size:.3g} times the difference between "
+                "neighbouring residuals"
             )
             p = tail(degrees_of_freedom, _together(chosen), size**2)
             yield Reason("differences", sentence, p, size, (name,))
@@ -357,8 +358,8 @@ def drift(series: Sequence[Series]) -> Reason | None:
             along = float(np.sum(line * each.residual)) / norm
             z = abs(along) / each.white
             sentence = (
-                f"the residuals of {each.channel} drift over {each.run}, by "
-                f"{z / norm * float(np.ptp(times)):.2g} times its noise"
+                f"the residuals of {each.channel} drift during {each.run} by "
+                f"{z / norm * float(np.ptp(times)):.2g} times the noise of the channel"
             )
             size = float(np.sqrt(1 + max(z**2 - 1, 0.0) / len(each)))
             p = tail(1, each.white_degrees_of_freedom, z**2)

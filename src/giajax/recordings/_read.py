@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..runtime.files import check_path, check_replaced, part_of, written_to
-from ..runtime.pictures import FORMATS, all_files, all_pictures
+from ..runtime.pictures import FORMATS, all_files, all_pictures, remove_former_pictures
 from ..runtime.text import InputError
 from ..schema import InitialSection
 from ._channels import Channel, Naming, infer_model, match_name, order
@@ -483,7 +483,7 @@ def write_files(contents: Mapping[Path, bytes], *, force: bool) -> None:
     Raises:
         InputError: a file is there, or its folder is not, or it cannot be written.
     """
-    contents = all_files(contents)
+    given, contents = contents, all_files(contents)
     check_output_files(contents, force=force)
     temporary: dict[Path, Path] = {}
     with contextlib.ExitStack() as folders:
@@ -497,6 +497,8 @@ def write_files(contents: Mapping[Path, bytes], *, force: bool) -> None:
                     file.write(data)
             for path, part in temporary.items():
                 os.replace(part, path)
+            if force:
+                remove_former_pictures(given)
         except OSError as error:
             raise InputError(
                 f"{path} cannot be written ({error.strerror}): give another name"

@@ -22,12 +22,12 @@ from ..recordings import (
 )
 from ..runtime.files import parse_json, read_bytes
 from ..runtime.limits import RESULT_BYTES
-from ..runtime.pictures import FORMATS
+from ..runtime.pictures import FORMATS, SIGNATURE
 from ..runtime.records import plain_data
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import find, switched_on
 from ..studies import with_fitted_states
-from ._text import PAGE, RESULT, SIGNATURE
+from ._text import PAGE, RESULT
 
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = (
@@ -36,7 +36,7 @@ _SAME = (
 )
 _WORDS = {
     "definition": "the constants of the model",
-    "runs": "what the sidecar states",
+    "runs": "the content of the sidecar",
     "loss": "loss",
     "hold_out": "the held-out data",
 }
@@ -62,7 +62,7 @@ def check_folder(
     path = folder / RESULT
     if force or not path.exists():
         return
-    remedy = "give another --out, or --force to write over it"
+    remedy = "give another --out, or --force to overwrite it"
     try:
         record = parse_json(read_bytes(path, RESULT_BYTES).decode(), path)
         checksums = [run["sha256"] for run in record["runs"]]
@@ -74,11 +74,12 @@ def check_folder(
         raise InputError(f"{path} is not a result of giajax: {remedy}") from None
     if checksums != [run.sha256 for run in runs]:
         names = ", ".join(str(run.get("name")) for run in record["runs"])
-        raise InputError(f"{folder} holds the result of other data ({names}): {remedy}")
+        raise InputError(f"{folder} contains the result of other data ({names}): {remedy}")
     if differing:
         what = ", ".join(_WORDS.get(key, key) for key in differing)
         raise InputError(
-            f"{folder} holds the result of another configuration (it differs in {what}): {remedy}"
+            f"{folder} contains the result of another configuration (it differs in {what}): "
+            f"{remedy}"
         )
 
 
@@ -130,15 +131,15 @@ def _compare(estimate: Estimate | None, figure: Figure) -> tuple[bool, str]:
     if value is not None and allowed is not None:
         away = abs(estimate.value - value) / error
         good &= away <= allowed
-        sentences.append(f"{away:.2g} standard errors from {value:g} (at most {allowed:g})")
+        sentences.append(f"{away:.2g} standard errors from {value:g} (limit: {allowed:g})")
     if value is not None and figure.within is not None:
         off = abs(estimate.value / value - 1) if value else abs(estimate.value)
         good &= off <= figure.within
-        sentences.append(f"{off:.2%} from {value:g} (at most {figure.within:.2%})")
+        sentences.append(f"{off:.2%} from {value:g} (limit: {figure.within:.2%})")
     if relative is not None:
         achieved = error / abs(estimate.value) if estimate.value else float("inf")
         good &= achieved <= relative
-        sentences.append(f"standard error {achieved:.2%} (at most {relative:.2%})")
+        sentences.append(f"standard error {achieved:.2%} (limit: {relative:.2%})")
     return good, f"{shown}: {', '.join(sentences)}"
 
 

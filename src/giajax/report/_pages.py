@@ -8,9 +8,9 @@ from ..fitting import FitResult
 from ..recordings import Run
 from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
+from ..runtime.pictures import SIGNATURE
 from ..runtime.text import InputError, install_command
 from ..studies import Contrast
-from ._text import SIGNATURE
 from ._views import Table
 
 _NEEDED = ("bokeh", "jinja2")
@@ -36,10 +36,12 @@ def check_page(path: str | Path | None = None, *, force: bool = False) -> None:
     if path is None:
         return
     if Path(path).is_dir():
-        raise InputError(f"{path} is a folder, but the page is written there: move it")
+        raise InputError(
+            f"{path} is a folder, but the page must be written to this path: move the folder"
+        )
     if force or not Path(path).exists():
         return
-    remedy = "move it, or give --force to write over it"
+    remedy = "move it, or give --force to overwrite it"
     try:
         beginning = read_bytes(Path(path), RESULT_BYTES)[:200]
     except OSError as error:

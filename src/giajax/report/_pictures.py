@@ -151,19 +151,22 @@ def plot(result: FitResult, run: Run | None = None) -> Figure:
     if run is None:
         if len(result.runs) != 1:
             raise InputError(
-                f"{len(result.runs)} runs were fitted: say which one to draw, as result.plot(run)"
+                f"{len(result.runs)} runs were fitted: state which one to plot, as in "
+                "result.plot(run)"
             )
         (run,) = [each.run for each in result.predictions] or fitted_runs(result)
     known = (run.name, run.sha256)
     records = [each for each in result.runs if (each.name, each.sha256) == known]
     if len(records) != 1:
         why = (
-            "several of that name were fitted" if records else "its data have changed since the fit"
+            "several fitted runs have this name"
+            if records
+            else "its data have changed since the fit"
         )
         names = ", ".join(dict.fromkeys(each.name for each in result.runs))
         raise InputError(
-            f"the run {run.name} has no record of its own, as {why}: give one of those that were "
-            f"({names}), or draw result.predict(run).plot()"
+            f"the run {run.name} cannot be assigned to a fitted run, because {why}: give one of "
+            f"the fitted runs ({names}), or call result.predict(run).plot()"
         )
     return recorded_figure(result, run, result.predict(run), records[0])
 
@@ -179,8 +182,8 @@ def prediction_figure(predicted: PredictedRun) -> Figure:
     run = predicted.run
     if not predicted:
         raise InputError(
-            f"no channel of the run {run.name} is predicted, as it recorded none: name some, as "
-            "predict(run, channels=[...])"
+            f"no channel of the run {run.name} is predicted, because it has no recorded channel: "
+            "name channels, as in predict(run, channels=[...])"
         )
     more = {name: Channel.named(name) for name in predicted if name not in run.channels}
     blank = np.full(len(sample_times(run)), np.nan)
@@ -394,7 +397,7 @@ def left_over_figure(
         plain(axes)
         axes.set_xlabel(label)
         if place == 0:
-            axes.set_ylabel("common to several channels")
+            axes.set_ylabel("component common to several channels")
     return figure
 
 
@@ -433,7 +436,7 @@ def _draw_spread(axes: Axes, run: Run, table: np.ndarray) -> None:
     picture = axes.pcolormesh(
         edges, np.arange(len(names) + 1), means, cmap="RdBu_r", vmin=-limit, vmax=limit
     )
-    plain(axes, "in time and along the arm")
+    plain(axes, "Residuals over time and along the arm")
     axes.grid(False)
     every = -(-len(names) // 20)
     axes.set_yticks(np.arange(len(names))[::every] + 0.5, names[::every])
@@ -469,9 +472,9 @@ def _draw_over_time(axes: Axes, run: Run, table: np.ndarray, limit: float) -> No
     style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0}
     style |= {"markersize": 2.4 if few else 1.6, "alpha": 0.55 if few else 0.3, "color": GREY}
     over = np.broadcast_to(times[:, None], table.shape).ravel()
-    axes.plot(over, np.clip(table, -limit, limit).ravel(), label="each value", **style)
+    axes.plot(over, np.clip(table, -limit, limit).ravel(), label="single values", **style)
     centres, rms = _running_rms(times, table)
-    axes.plot(centres, rms, color=VERMILLION, linewidth=1.6, label="RMS (1 if only noise is left)")
+    axes.plot(centres, rms, color=VERMILLION, linewidth=1.6, label="RMS (1 if only noise remains)")
     axes.axhline(1, color=VERMILLION, linewidth=0.8, linestyle=(0, (4, 3)))
     plain(axes, run.name)
     axes.set_ylim(-1.05 * limit, 1.05 * limit)
@@ -541,7 +544,7 @@ def _draw_by_channel(axes: Axes, runs: Sequence[Run], tables: Sequence[np.ndarra
     axes.vlines(places, 0, rms, color=LIGHT, linewidth=3)
     axes.plot(places, rms, "o", color=BLUE, markersize=5 if len(names) < 40 else 3.5)
     axes.axhline(1, color=VERMILLION, linewidth=0.8, linestyle=(0, (4, 3)))
-    plain(axes, "by channel")
+    plain(axes, "RMS of each channel")
     axes.grid(False, axis="x")
     axes.set_ylim(0, None)
     axes.set_xlim(-0.7, len(names) - 0.3)

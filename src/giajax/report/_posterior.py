@@ -151,9 +151,9 @@ def bands_figure(
             axes.set_xlabel(time_label(runs[at]))
     dots: dict[str, Any] = {"marker": "o", "ls": "none", "markersize": 3, "color": GREY}
     handles = [
-        Line2D([], [], label="recorded less median", **dots),
-        Patch(color=VERMILLION, alpha=0.5, label="95 % by the parameters"),
-        Patch(color=BLUE, alpha=0.15, label="and by noise"),
+        Line2D([], [], label="recorded minus median", **dots),
+        Patch(color=VERMILLION, alpha=0.5, label="95 % from the parameters"),
+        Patch(color=BLUE, alpha=0.15, label="95 % from parameters and noise"),
     ]
     figure.legend(handles=handles, loc="outside lower center", fontsize=8, frameon=False, ncols=3)
     return figure
@@ -283,14 +283,16 @@ def _chains(summary: PosteriorSummary) -> str:
 
 
 def _sentences(summary: PosteriorSummary, most: int | None) -> list[str]:
-    held = [f"held, because no channel responds: {', '.join(summary.held)}"] if summary.held else []
+    held = (
+        [f"fixed, because no channel responds: {', '.join(summary.held)}"] if summary.held else []
+    )
     return [_chains(summary), *held, *(f"warning: {doubt}" for doubt in summary.warnings)]
 
 
 def _section(summary: PosteriorSummary, result: FitResult, folder: Path) -> PageSection:
-    note = f"{_chains(summary)}; the noise is held as it was fitted"
+    note = f"{_chains(summary)}; the noise is fixed at its fitted value"
     if summary.held:
-        note += f", and so is what no channel responds to ({', '.join(summary.held)})"
+        note += f", as are parameters without an effect on any channel ({', '.join(summary.held)})"
     note += (
         ". R-hat is 1 if the chains agree; ESS is the number of independent draws; the linear "
         "interval uses the Jacobian alone."
@@ -304,8 +306,8 @@ def _section(summary: PosteriorSummary, result: FitResult, folder: Path) -> Page
     if shares:
         least, where = min(shares)
         note += (
-            f" Of the recorded values, those within the band of 95 %: {least:.1%} in the channel "
-            f"with the fewest, {where}."
+            f" The 95 % band contains at least {least:.1%} of the recorded values of each channel "
+            f"(lowest: {where})."
         )
     return PageSection(
         id="posterior",

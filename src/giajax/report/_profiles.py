@@ -26,7 +26,15 @@ from ._style import (
 )
 from ._views import PageSection, RecordView, Table
 
-PROFILE_HEADINGS = ("quantity", "value", "error", "unit", "by the error", "by profile", "remark")
+PROFILE_HEADINGS = (
+    "quantity",
+    "value",
+    "error",
+    "unit",
+    "interval from error",
+    "profile interval",
+    "remark",
+)
 
 # More pictures than this are small print, and more plots a page that no phone opens.
 _MOST, _ACROSS, _MOST_ON_PAGE = 12, 3, 24
@@ -152,7 +160,7 @@ def _draw(axes: Axes, curve: ProfileCurve) -> None:
     axes.axvspan(
         curve.values[kept][0] if low is None else low,
         curve.values[kept][-1] if high is None else high,
-        color=LIGHT, alpha=0.6, lw=0, label="interval by profile",
+        color=LIGHT, alpha=0.6, lw=0, label="profile interval",
     )  # fmt: skip
     plain(axes, curve.name)
     axes.set_ylim(-0.05 * top, top)
@@ -180,10 +188,10 @@ def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:
         early=True,
         table=_table(found, result),
         plots=[(curve.name, _plot(curve)) for curve in curves],
-        note="Each quantity was fixed at other values while all others were fitted. Line: increase "
-        "of the deviance; dashed: its approximation by the standard error. The "
-        f"{100 * found.level:.3g} % interval ends where the line crosses the level; at orange dots "
-        "another parameter is at a bound.",
+        note="Each quantity was fixed at a series of values while all others were fitted. "
+        "Solid line: increase of the deviance. Dashed line: its approximation from the standard "
+        f"error. The {100 * found.level:.3g} % interval ends where the line crosses the level. At "
+        "orange dots, another parameter is at a bound.",
     )
 
 
@@ -221,7 +229,7 @@ RecordView(
     record=Profiles,
     table=_table,
     sentences=lambda found, most: [
-        f"intervals of {found.level:.3g}; 'open' if the data give no limit"
+        f"intervals at level {found.level:.3g}; 'open' if the data give no limit"
     ],
     figure=_figure,
     section=_section,

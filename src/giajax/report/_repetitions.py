@@ -56,9 +56,9 @@ def bootstrap_table(found: Bootstrap) -> tuple[list[str], list[list[str]]]:
 
 def bootstrap_summary(found: Bootstrap) -> list[str]:
     """Sentences beside the table: what was done, what came back, and what is left out."""
-    kind = "data of the fitted model with noise of its noise model"
+    kind = "data simulated with the fitted model and noise model"
     if found.method == "block":
-        kind = "data of the fitted model with blocks of its residuals"
+        kind = "data simulated with the fitted model and resampled blocks of residuals"
     how = "including the noise estimation" if found.whole else "with fixed noise"
     sentences = [f"{found.size} repetitions, seed {found.seed}: {kind}, each fitted {how}"]
     if found.size < found.asked:
@@ -67,14 +67,15 @@ def bootstrap_summary(found: Bootstrap) -> list[str]:
     others = f"; the others failed: {_listed(found.reasons)}" if found.reasons else ""
     sentences.append(f"{found.came_back} of {found.size} fits converged ({share:.3g} %){others}")
     sentences += [
-        f"{path} ended at a bound in {count} of {found.came_back}"
+        f"{path} ended at a bound in {count} of {found.came_back} repetitions"
         for path, count in found.at_bounds.items()
     ]
     if found.block_lengths:
-        sentences.append(f"samples in a block: {_listed(found.block_lengths)}")
+        sentences.append(f"samples per block: {_listed(found.block_lengths)}")
     if found.noise_factor != 1:
         sentences.append(
-            f"the noise is {found.noise_factor:.3g} times as large as stated, as the residuals are"
+            f"the simulated noise is {found.noise_factor:.3g} times the stated noise, like the "
+            "residuals"
         )
     return [*sentences, *found.failures, *found.notes]
 
@@ -113,7 +114,9 @@ def bootstrap_figure(found: Bootstrap, title: str = "") -> Figure:
         if one.percentile is not None:
             low, high = one.percentile
             at = -0.04 * axes.get_ylim()[1]
-            axes.plot([low, high], [at, at], color=VERMILLION, linewidth=3, label="95 % of them")
+            axes.plot(
+                [low, high], [at, at], color=VERMILLION, linewidth=3, label="95 % of the estimates"
+            )
         plain(axes, path)
         axes.set_xlabel(one.unit)
         axes.set_yticks([])
@@ -146,14 +149,14 @@ def _bootstrap_section(found: Bootstrap, result: FitResult, folder: Path) -> Pag
     first, *others = bootstrap_summary(found)
     return PageSection(
         id="repetitions",
-        name="Repeated",
+        name="Repetitions",
         heading="Repetitions of the fit",
         intro=f"{first}.",
         table=Table(*bootstrap_table(found)),
         sentences=others,
         plots=[(path, _histogram(one)) for path, one in _drawn(found, _MOST_ON_PAGE)],
-        note="Bars: estimates of the repetitions; dashed: the result that generated their data; "
-        "red: interval with 95 % of them.",
+        note="Bars: estimates of the repetitions. Dashed line: the result that "
+        "generated their data. Red: interval that contains 95 % of the estimates.",
     )
 
 
@@ -201,7 +204,7 @@ def influence_table(found: Influence, most: int | None = None) -> tuple[list[str
     without the part, in the same.
     """
     paths = _columns(found)
-    headings = ["left out", "kind", "cells", "by", "over expected", *paths]
+    headings = ["part left out", "kind", "cells", "method", "shift / expected", *paths]
     return headings, [
         [
             *(part.name, part.kind, str(part.cells), "step" if part.exact is None else "fit"),
@@ -215,8 +218,8 @@ def influence_table(found: Influence, most: int | None = None) -> tuple[list[str
 def influence_summary(found: Influence) -> list[str]:
     """Sentences beside the table: what it shows, what failed, and what is left out."""
     sentences = [
-        "shift of each parameter without the part, in standard errors, with the factor on its "
-        "error in brackets; over expected: above 3, a part contradicts the others"
+        "shift of each parameter when the part is left out, in standard errors, with the relative "
+        "size of its error in brackets; a part contradicts the others if shift / expected exceeds 3"
     ]
     lost = [part for part in found.parts if None in part.steps.values()]
     for path in found.parameters:
@@ -234,7 +237,9 @@ def influence_summary(found: Influence) -> list[str]:
 def influence_figure(found: Influence, title: str = "") -> Figure:
     """A map of the shifts: parts by parameters, the largest shift first."""
     parts, paths = found.parts[:_MOST_PARTS], _columns(found)[:_MOST_COLUMNS]
-    title = title or "Shift of each parameter without a part of the data, in standard errors"
+    title = (
+        title or "Shift of each parameter when a part of the data is left out, in standard errors"
+    )
     figure = new_figure(3.2 + 1.2 * max(len(paths), 2), 1.8 + 0.26 * len(parts), title)
     axes = figure.add_subplot()
     shifts = np.asarray(

@@ -15,8 +15,7 @@ from scipy.spatial import ConvexHull
 
 from ..fitting import FitResult
 from ..models import Block, Scene
-from ..runtime.pictures import Picture, picture_formats
-from ._text import SIGNATURE
+from ..runtime.pictures import SIGNATURE, Picture, picture_formats
 
 # Okabe and Ito's colours, which people who see red and green alike can tell apart.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"

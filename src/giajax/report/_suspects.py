@@ -23,7 +23,16 @@ from ._views import PageSection, RecordView, Table
 
 Rows = list[list[str]]
 
-SUSPECT_HEADINGS = ("suspect", "held at", "estimate", "error", "unit", "chi-square", "p", "remark")
+SUSPECT_HEADINGS = (
+    "suspect",
+    "fixed value",
+    "estimate",
+    "error",
+    "unit",
+    "chi-square",
+    "p",
+    "remark",
+)
 
 
 def suspect_rows(found: Suspects, most: int = 10) -> Rows:
@@ -67,9 +76,9 @@ def _cells(row: Suspect) -> list[str]:
     if others := dict.fromkeys([*row.alike, *row.together]):
         remarks.append(f"the data can hardly distinguish it from {', '.join(others)}")
     if row.kind == "switch" and estimate is not None:
-        remarks.append("estimate: share of the change, 0 to 1")
+        remarks.append("estimate: fraction of the change, 0 to 1")
     if row.kind == "factor":
-        remarks.append("a factor on all of its elements")
+        remarks.append("a common factor of all its elements")
     return [
         row.path,
         _plain(value),
@@ -84,8 +93,8 @@ def _cells(row: Suspect) -> list[str]:
 def suspect_summary(found: Suspects) -> list[str]:
     """Sentences beside the table: what chi-square is, and what the data cannot tell."""
     sentences = [
-        f"chi-square {found.chi_square:.5g} of {found.values} values and {found.parameters} "
-        f"fitted parameters; {found.asked} tests, p-values corrected for their number"
+        f"chi-square {found.chi_square:.5g} for {found.values} values and {found.parameters} "
+        f"fitted parameters; {found.asked} tests, with p-values corrected for multiple testing"
     ]
     if not found.significant:
         sentences.append("no suspect is significant")
@@ -140,15 +149,15 @@ def explained_summary(found: Explanation) -> list[str]:
     sentences = [
         f"the data support {added} in addition to the first model; {found.ending}",
         f"verdict: {found.verdict}" + "".join(f"; {one}" for one in found.sentences[:1]),
-        f"chi-square {last.chi_square:.5g} of {last.values} values and {last.parameters} fitted "
+        f"chi-square {last.chi_square:.5g} for {last.values} values and {last.parameters} fitted "
         "parameters",
     ]
     if judged := [step for step in found.steps if step.held_out is not None]:
         later = "".join(f" before {step.change}" for step in found.steps if step.kind == "data")
         off, off_first = judged[-1].held_out, judged[0].held_out
         sentences.append(
-            f"the held-out data{later} have an error of {off:.3g} times their noise "
-            f"({off_first:.3g} by the first model)"
+            f"the prediction error of the held-out data{later} is {off:.3g} times their noise "
+            f"({off_first:.3g} with the first model)"
         )
     if found.outliers:
         sentences.append(f"{found.outliers} outliers were found: the loss is {found.loss}")
@@ -157,9 +166,9 @@ def explained_summary(found: Explanation) -> list[str]:
         for i in found.near
     )
     sentences.append(
-        f"tried, and within {found.nearness:g} of its BIC: {near}"
+        f"other tested models with a BIC within {found.nearness:g} of the selected model: {near}"
         if near
-        else f"no other model that was tried is within {found.nearness:g} of its BIC"
+        else f"no other tested model has a BIC within {found.nearness:g} of the selected model"
     )
     if len(found.steps) > 1:
         for one in found.parameters:
@@ -167,14 +176,14 @@ def explained_summary(found: Explanation) -> list[str]:
             unit = f" {one.unit}" if one.unit else ""
             sentences.append(
                 f"{one.path} = {value} +- {error}{unit}, of which "
-                f"{format_number(one.selection_error, '.2g')} from other models that fit nearly "
-                "as well"
+                f"{format_number(one.selection_error, '.2g')} results from other models that fit "
+                "nearly as well"
             )
         sentences.append(
             "the errors are conditional on a model that was selected with the same data"
         )
     if found.axes:
-        sentences.append("the runs with corrected columns are beside explain.json")
+        sentences.append("the runs with corrected columns are stored in the folder of explain.json")
     return sentences
 
 
@@ -186,12 +195,12 @@ RecordView(
     section=lambda found, result, folder: PageSection(
         id="explained",
         name="Explanation",
-        heading="What the data support",
+        heading="Model extensions supported by the data",
         early=True,
         table=explained_table(found, [*found.steps, *(found.tried[i] for i in found.near)]),
         sentences=explained_summary(found),
-        note="One row for each step, and below it for each other model that fits nearly as "
-        "well; chi-square and BIC with the white noise of the last step.",
+        note="One row for each step, followed by one row for each other model that fits nearly as "
+        "well. Chi-square and BIC are computed with the white noise of the last step.",
     ),
 )
 
@@ -218,7 +227,7 @@ def systematic_table(result: FitResult) -> tuple[list[str], Rows]:
         ]
     for name, errors in below.items():
         rows.append([name, "", "", *(format_number(value, ".3g") for value in errors)])
-    return ["held", "at", "changed by", *statistical], rows
+    return ["fixed parameter", "value", "change", *statistical], rows
 
 
 def _held(error: SystematicError, statistical: Mapping[str, float | None]) -> list[str]:
@@ -261,9 +270,9 @@ def contrast_tables(found: Contrast) -> tuple[tuple[list[str], Rows], tuple[list
         "reduced chi-square": [format_number(column.reduced_chi_square) for column in columns],
     }
     if any(column.bic is not None for column in columns):
-        about["BIC, less the least"] = [format_number(column.bic) for column in columns]
+        about["BIC minus lowest BIC"] = [format_number(column.bic) for column in columns]
     if any(column.held_out is not None for column in columns):
-        words = "held out, error over expected error"
+        words = "held out: error / expected error"
         about[words] = [format_number(column.held_out) for column in columns]
     return (headings, rows), (["", *names], [[name, *cells] for name, cells in about.items()])
 

@@ -24,9 +24,6 @@ _Run = TypeVar("_Run", RunFit, PredictionErrors, HeldOut)
 RESULT = "result.json"
 PAGE = "report.html"
 
-# Written into each picture and page: how a later fit knows one of an earlier from a person's.
-SIGNATURE = "giajax fit"
-
 MOST_RUNS = 6
 """How many are drawn: a picture takes a second, and twenty are too many to look at."""
 
@@ -71,7 +68,7 @@ def source_lines(result: FitResult) -> list[str]:
     lines = []
     for recording in dict.fromkeys([*alone, *mostly]):
         said = {"only source of information on": alone.get(recording)}
-        said["factor on the errors without it:"] = mostly.get(recording)
+        said["factor on the errors without this recording:"] = mostly.get(recording)
         parts = [f"{words} {', '.join(paths)}" for words, paths in said.items() if paths]
         lines.append(f"{recording}: {'; '.join(parts)}")
     return lines
@@ -99,7 +96,7 @@ def _held_out(record: HeldOut) -> list[str]:
             each = [f"{n} {_range([record.channels[n].rmse]) or 'not known'}" for n in names]
             errors = ", ".join(each)
         sizes = _range([channel.size for channel in channels])
-        allowed = f"; {sizes} times what noise and the parameters allow" if sizes else ""
+        allowed = f"; {sizes} times the error expected from noise and parameters" if sizes else ""
         counts = _counts(names, sum(channel.n for channel in channels))
         lines.append(f"{record.name}: RMSE {errors}{unit}{allowed}; {counts}")
     return lines
@@ -189,14 +186,14 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     add("residuals", _of_runs(result.runs, _residuals, "residuals of"))
     own = list(filter(None, (run.parameters.keys() - result.free for run in result.runs)))
     if own:
-        text = f"{sum(map(len, own))} values of {len(own)} single runs were also fitted"
-        add("initial states", [f"{text}; result.json has them"])
+        text = f"{sum(map(len, own))} values of {len(own)} individual runs were also fitted"
+        add("initial states", [f"{text}; result.json lists them"])
     add("validation", _of_runs(result.validation, _errors, "prediction of"))
     add("held out", _of_runs(result.held_out, _held_out, "prediction of"))
     add("determined by", source_lines(result))
     if strongest := strongest_correlation(result):
         correlation, one, other = strongest
-        add("correlation", [f"at most {correlation:+.3f}, between {one} and {other}"])
+        add("correlation", [f"strongest: {correlation:+.3f}, between {one} and {other}"])
     add("findings", [f"{f.sentence}: {f.advice} ({f.page})" for f in result.findings])
     add("gradient check", [_gradient(result)])
     add("solver tolerance", [_tolerance(result)])
@@ -204,7 +201,7 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     took, compiling = (
         format_number(s, ".2g") for s in (result.seconds.run, result.seconds.compile)
     )
-    add("time", [f"{took} s, and {compiling} s to compile or load"])
+    add("time", [f"{took} s to run, and {compiling} s to compile or load"])
     return rows
 
 
@@ -216,7 +213,7 @@ def _starts(result: FitResult) -> list[str]:
     values = sum(channel.n for run in result.runs for channel in run.channels.values())
     ends = [start.misfit for start in result.starts if start.misfit is not None]
     near = sum(end - best < SAME_END * values for end in ends)
-    text = f"{near} of {len(result.starts)} ended here"
+    text = f"{near} of {len(result.starts)} ended at this optimum"
     worse = sorted((end - best) / values for end in ends if end - best >= SAME_END * values)
     if worse:
         text += f"; the others are worse by {worse[0]:.2g} to {worse[-1]:.2g} in log-likelihood "
@@ -226,7 +223,9 @@ def _starts(result: FitResult) -> list[str]:
     for optimum in others[:_MANY]:
         where = ", ".join(f"{path} {value:.4g}" for path, value in optimum.values.items())
         who = "1 start" if optimum.reached == 1 else f"{optimum.reached} starts"
-        lines.append(f"another optimum, from {who}, worse by {optimum.worse:.3g}: {where} (SI)")
+        lines.append(
+            f"another optimum was reached from {who}, worse by {optimum.worse:.3g}: {where} (SI)"
+        )
     return lines + [
         f"{count} did not converge: {why}" for why, count in lost_starts(result).items()
     ]
@@ -284,7 +283,7 @@ def _residuals(run: RunFit) -> list[str]:
             shown = "not finite"
         against = f"{noise[0]:.3g}" + (f" to {noise[-1]:.3g}" if noise[-1] > noise[0] else "")
         if weights > _WEIGHTED:
-            against += f" from sample to sample, up to {weights:.3g} times that in the weights"
+            against += f" from sample to sample, up to {weights:.3g} times as large in the weights"
         counts = _counts(names, sum(channels[name].n for name in names))
         lines.append(f"{run.name}: RMSE {shown}{unit}; noise {against}; {counts}")
     return lines
@@ -317,9 +316,9 @@ def _gradient(result: FitResult) -> str:
         return "not done"
     relative = check.relative_difference
     if relative > WRONG_DERIVATIVES:
-        text = f"derivatives DISAGREE with differences, by {relative:.1e} (relative)"
+        text = f"derivatives DISAGREE with finite differences, by {relative:.1e} (relative)"
     else:
-        text = f"derivatives agree with differences to {relative:.1e} (relative)"
+        text = f"derivatives agree with finite differences to {relative:.1e} (relative)"
     return text + (f", without {', '.join(check.left_out)}" if check.left_out else "")
 
 
@@ -332,7 +331,10 @@ def _tolerance(result: FitResult) -> str:
     if capabilities.refined(result.model, 1.0) is None:
         return f"{which}not checked: the {result.model.kind} model cannot be refined"
     if effect is None or effect.largest_in_standard_errors is None:
-        return f"{which}effect not known"
+        return f"{which}effect unknown"
     finer = {0.5: "half", 0.1: "a tenth"}.get(effect.factor, "a hundredth")
     largest = effect.largest_in_standard_errors
-    return f"{which}{finer} of it changes no parameter by more than {largest:.1e} standard errors"
+    return (
+        f"{which}{finer} of this tolerance changes no parameter by more than {largest:.1e} "
+        "standard errors"
+    )

@@ -113,15 +113,17 @@ def sections(result: FitResult, source: Path | None) -> list[PageSection]:
         except InputError as error:
             found.append(_damaged(path, str(error)))
         except OSError as error:
-            found.append(_damaged(path, f"it cannot be read ({error.strerror}): make it readable"))
+            found.append(
+                _damaged(path, f"the file cannot be read ({error.strerror}): make it readable")
+            )
         except (LookupError, TypeError, ValueError, ArithmeticError):
-            found.append(_damaged(path, f"its numbers do not agree: {remedy}"))
+            found.append(_damaged(path, f"its numbers are inconsistent: {remedy}"))
     return found
 
 
 def _damaged(path: Path, why: str) -> PageSection:
     sentence = f"{path.name} is damaged: {why}"
-    heading = f"Left out: {path.name}"
+    heading = f"Omitted: {path.name}"
     return PageSection(
         id=path.stem, name=path.stem, heading=heading, table=Table([], []), warnings=(sentence,)
     )

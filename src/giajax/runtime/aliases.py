@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import Any, cast
 
 UNTIL = "1 December 2027"
-"""Until when the earlier names work."""
+"""Date until which the earlier names work."""
 
 MOVED: dict[str, tuple[str, ...]] = {
     "arm": ("mechanics.arm",),
@@ -42,7 +42,7 @@ MOVED: dict[str, tuple[str, ...]] = {
     "viewer": ("apps.viewer",),
     "wind": ("apps.wind",),
 }
-"""Where the public names of an earlier module are now; all of it within `giajax`."""
+"""Present location of the public names of each earlier module, within `giajax`."""
 
 _REPORTS = {
     "apps.design": "DESIGN_HEADINGS design_figure design_json design_rows",
@@ -123,7 +123,7 @@ RENAMED: dict[str, dict[str, str]] = {
     },
     "verdict": {"Foretold": "fitting.PredictedChannel", "Predictions": "fitting.PredictionTest"},
 }
-"""By room of before, "" for `giajax`, where a public name is now; all of it within `giajax`."""
+"""Present location of each public name, by its earlier package ("" for `giajax`)."""
 
 
 def earlier(room: str, level: int = 3) -> Callable[[str], Any]:
@@ -197,7 +197,7 @@ def warn_of_name(before: str, now: str) -> None:
 
 def _warn(before: str, now: str, level: int) -> None:
     warnings.warn(
-        f"{before} is {now} now: change the name, which works until {UNTIL}",
+        f"{before} is now {now}: use the new name; the old name works until {UNTIL}",
         DeprecationWarning,
         stacklevel=level,
     )

@@ -223,7 +223,7 @@ class Processes(Executor):
 
     def __init__(self, workers: int) -> None:
         if workers < 1:
-            raise InputError(f"there are {workers} workers: give at least 1")
+            raise InputError(f"the number of workers is {workers}: give at least 1")
         self.workers = workers
         self._pool: ProcessPoolExecutor | None = None
 
@@ -275,12 +275,12 @@ def open_executor(workers: int | None = None, scheduler: str | None = None) -> I
     if scheduler is not None:
         if workers is not None:
             raise InputError(
-                "there are both workers of this machine and a scheduler: give one of them"
+                "both workers on this machine and a scheduler are given: give only one of them"
             )
         if added := [path.name for path in plugins()]:
             raise InputError(
                 f"the workers of a cluster lack the plug-in {added[0]}: install it there as a "
-                "package, or leave the scheduler out"
+                "package, or omit the scheduler"
             )
         with _connected(scheduler) as client:
             yield client.get_executor(pure=False)
@@ -313,7 +313,7 @@ def _connected(address: str) -> Iterator[Any]:
 
 
 ATTEMPTS = 3
-"""So often is a task begun whose worker ends under it, but for those of a cluster."""
+"""Maximum number of attempts of a task whose worker ends; a cluster has its own limit."""
 
 _AHEAD = 256  # tasks that wait at the workers of an executor that somebody else has made
 _BETWEEN_S = 2.0  # between two looks at whether the scheduler of a cluster is there, s
@@ -424,7 +424,7 @@ class _Study:
             client = getattr(self.executor, "_client", None)
             if getattr(client, "status", "") in ("closing", "closed"):
                 raise InputError(
-                    "the scheduler is lost: start it again, and give the same command with its "
+                    "the scheduler is lost: start it again, and run the same command with its "
                     "address"
                 )
             for future in done:
@@ -438,7 +438,7 @@ class _Study:
         except RuntimeError as error:  # of a pool that nobody can begin again
             why = " ".join(str(error).split()) or type(error).__name__
             raise InputError(
-                f"the executor takes no tasks ({why}): begin a new one, and make the same call"
+                f"the executor accepts no tasks ({why}): create a new one, and repeat the call"
             ) from None
 
     def _end(self, key: str, future: Future[Any]) -> None:
@@ -452,8 +452,8 @@ class _Study:
                     self.doubtful.append(key)
                     return
                 message = (
-                    f"its worker ended {ATTEMPTS} times while it ran: check its memory, and run it "
-                    "again"
+                    f"the worker ended {ATTEMPTS} times during the task: check its memory, and run "
+                    "the task again"
                 )
             else:
                 message = abridged(" ".join(f"{type(error).__name__}: {error}".split()))

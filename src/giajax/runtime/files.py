@@ -40,8 +40,8 @@ def check_path(path: str | Path) -> None:
         if any(len(name) > NAME_BYTES for name in names):
             longest = max(names, key=len).decode(errors="replace")
             raise InputError(
-                f"the path has the name {shown(longest)} of {max(map(len, names))} bytes, but "
-                f"must have names of at most {NAME_BYTES}: shorten it"
+                f"the path has the name {shown(longest)} of {max(map(len, names))} bytes, but a "
+                f"name must have at most {NAME_BYTES} bytes: shorten it"
             )
         os.lstat(path)
         os.stat(path)
@@ -53,11 +53,11 @@ def check_path(path: str | Path) -> None:
         raise
     except UnicodeDecodeError:
         raise InputError(
-            f"the path {shown(str(path))} is not UTF-8, which files that name it are: rename it"
+            f"the path {shown(str(path))} is not UTF-8, so no file can refer to it: rename it"
         ) from None
     except ValueError:
         raise InputError(
-            f"the path {shown(str(path))} has a character that no path may have: correct it"
+            f"the path {shown(str(path))} has a character that is not allowed in a path: correct it"
         ) from None
 
 
@@ -65,7 +65,7 @@ def check_kind(path: Path, mode: int) -> None:
     """Refuse, by its mode, what has a name and no content that ends: a pipe, a device."""
     device = _DEVICES.get(stat.S_IFMT(mode))
     if device is not None:
-        raise InputError(f"{path} is {device}, but must be a file: write its content to one")
+        raise InputError(f"{path} is {device}, but must be a file: write the content to a file")
 
 
 def check_replaced(path: Path) -> None:
@@ -76,7 +76,7 @@ def check_replaced(path: Path) -> None:
     with contextlib.suppress(OSError):
         device = _DEVICES.get(stat.S_IFMT(path.stat().st_mode))
         if device is not None:
-            raise InputError(f"{path} is {device}, where no file is written: give another name")
+            raise InputError(f"{path} is {device}, which is not overwritten: give another name")
 
 
 @contextlib.contextmanager
@@ -109,7 +109,7 @@ def read_bytes(path: Path, most: int) -> bytes:
         if len(data) > size:  # a file that grows, or one of the system, which says no size
             data += file.read(most + 1 - len(data)) or b""
     if (size := max(size, len(data))) > most:
-        raise InputError(f"{path} has {size:,} bytes, but may have {most:,} at most: shorten it")
+        raise InputError(f"{path} has {size:,} bytes, but at most {most:,} are allowed: shorten it")
     return data
 
 
@@ -140,8 +140,8 @@ def keep(path: Path, data: bytes) -> None:
         write_durably(path, data)
     except OSError as error:
         raise InputError(
-            f"{path} cannot be written ({error.strerror}): free some space or let it be written, "
-            "and give the same command"
+            f"{path} cannot be written ({error.strerror}): free disk space or "
+            "change the permissions, and run the same command again"
         ) from None
 
 
@@ -287,7 +287,7 @@ def check_unicode(data: Any, text: str) -> None:
         try:
             json.dumps(data, ensure_ascii=False).encode()
         except UnicodeEncodeError:
-            raise ValueError("a text has half of a character: correct it") from None
+            raise ValueError("a text has an incomplete character: correct it") from None
 
 
 def check_size(data: Any, source: str) -> None:
@@ -318,12 +318,12 @@ def _is_deep(skeleton: str) -> bool:
 
 def _too_deep(source: str) -> InputError:
     return InputError(
-        f"{source} has tables or lists nested more than {DEPTH} deep: write it with fewer"
+        f"{source} has tables or lists nested more than {DEPTH} levels deep: reduce the nesting"
     )
 
 
 def _too_large() -> str:
-    return "a whole number beyond 64 bits, which none may be: correct it, or write it as 1e20"
+    return "a whole number of more than 64 bits: correct the number, or write it as 1e20"
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -331,7 +331,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(data) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in data if names.count(name) > 1)
-        raise ValueError(f"the key {shown(twice)} is there twice")
+        raise ValueError(f"the key {shown(twice)} occurs twice")
     return data
 
 

@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 FORMAT = "0.1.0"
-"""Counts in every key: that of the version whose identities these are."""
+"""Part of every key: the version of giajax that defined these identities."""
 
 # Identity -> where it lies, and its arguments.
 FUNCTIONS: dict[str, tuple[str, str]] = {

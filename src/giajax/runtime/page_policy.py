@@ -11,7 +11,7 @@ _FIRST = re.compile(rb"<(?:style|script|link)\b", re.IGNORECASE)
 
 
 VISER = "'self' 'unsafe-inline' 'unsafe-eval' blob:"
-"""Sources of the scripts of viser's page, which unpacks itself and so has no sum of its own."""
+"""Script sources of the viser page, which unpacks itself and so has no fixed checksum."""
 
 
 def policy(scripts: str, connect: str = "data: blob:") -> str:
@@ -35,5 +35,5 @@ def with_policy(page: bytes, scripts: str | None = None, connect: str = "data: b
     said = policy(own_scripts(page) if scripts is None else scripts, connect)
     meta = f'<meta http-equiv="Content-Security-Policy" content="{said}">\n'.encode()
     found, count = _FIRST.subn(lambda first: meta + first[0], page, count=1)
-    assert count, "a page has a style or a script, before which its policy stands"
+    assert count, "internal error: the page has no style or script to insert the policy before"
     return found

@@ -232,8 +232,8 @@ def map_on_cores(
     counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(items)}
     if len(counts) != 1 or not next(iter(counts), ()) or not (count := counts.pop()[0]):
         raise InputError(
-            "the items have no leading axis in common, or none is there: give arrays whose first "
-            "axis is that of the items"
+            "the items have no common leading axis, or there are no items: give arrays whose "
+            "first axis counts the items"
         )
     if len(jax.local_devices()) > 1:
         several = map_over_devices(function, items, shared, batch_size)

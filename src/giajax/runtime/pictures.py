@@ -8,8 +8,11 @@ from pathlib import Path
 
 from .text import InputError, shown
 
+SIGNATURE = "giajax fit"
+"""In every picture and page of giajax, so that a person's own file of that name is left alone."""
+
 FORMATS = ("png", "svg", "pdf")
-"""Endings of pictures. There is always a PNG file, which pages and records refer to."""
+"""Picture formats. A PNG file is always written, because pages and records refer to it."""
 
 
 @dataclass(frozen=True)
@@ -83,3 +86,14 @@ def all_files(contents: Mapping[Path, bytes]) -> dict[Path, bytes]:
         if isinstance(data, Picture):
             files |= {path.with_suffix(f".{each}"): other for each, other in data.others.items()}
     return files
+
+
+def remove_former_pictures(contents: Mapping[Path, bytes]) -> None:
+    """Of pictures that were written over, remove the other formats that show what was before."""
+    for path, data in contents.items():
+        if isinstance(data, Picture):
+            for each in set(FORMATS[1:]) - set(data.others):
+                former = path.with_suffix(f".{each}")
+                with contextlib.suppress(OSError):
+                    if SIGNATURE.encode() in former.read_bytes():
+                        former.unlink()

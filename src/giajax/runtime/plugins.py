@@ -29,7 +29,7 @@ _CLASSES: dict[str, dict[str, Any]] = {}
 _PLUGINS: dict[Path, str] = {}  # with the SHA-256 of what was run
 
 SUM = "sha256 "
-"""What the sum of a file begins with, where others have a version."""
+"""Prefix that distinguishes the checksum of a file from a version."""
 
 
 def register(cls: Registered) -> Registered:
@@ -45,17 +45,17 @@ def register(cls: Registered) -> Registered:
     role, name = getattr(cls, "registered_as", None), name_of(cls)
     if role is None:
         raise InputError(
-            f"{cls.__name__} is of no class that giajax takes: derive it from one, such as "
+            f"{cls.__name__} is not derived from a class of giajax: derive it from one, such as "
             "giajax.AbstractModel or giajax.mechanics.arm.AbstractDragLaw"
         )
     if absent := getattr(cls, "__abstractmethods__", ()):
-        raise InputError(f"{cls.__name__} has no {one_of(sorted(absent))}: write it")
+        raise InputError(f"{cls.__name__} lacks {one_of(sorted(absent))}: implement it")
     classes = _CLASSES.setdefault(role, {})
     known = classes.get(name, cls)
     # A notebook runs a cell again, which makes the class anew.
     again = (known.__module__, known.__qualname__) == (cls.__module__, cls.__qualname__)
     if not again or "+" in name or name in getattr(cls, "names_of_giajax", ()):
-        raise InputError(f"there is a {role} '{name}' already: give yours another name")
+        raise InputError(f"a {role} named '{name}' already exists: choose another name")
     getattr(cls, "on_registration", lambda: None)()
     classes[name] = cls
     return cls
@@ -100,7 +100,7 @@ def made_by_default(cls: Callable[[], Made], what: str) -> Made:
         return cls()
     except Exception as error:
         raise InputError(
-            f"{what} is not made from its defaults ({error}): give each field one"
+            f"{what} cannot be made from defaults ({error}): give each field a default"
         ) from None
 
 
@@ -119,14 +119,14 @@ def load_plugin(path: Path, digest: str = "") -> None:
         raise InputError(f"{path} is not a plug-in: give a Python file, such as laws.py")
     other = importlib.util.find_spec(name)
     if name in sys.modules or (other is not None and other.origin != str(path)):
-        raise InputError(f"{path} is called as another module, '{name}': give it another name")
+        raise InputError(f"{path} has the name of another module, '{name}': rename the file")
     try:
         data = read_bytes(path, TEXT_BYTES)
     except OSError:
-        raise InputError(f"there is no plug-in {path}: correct the path") from None
+        raise InputError(f"the plug-in {path} does not exist: correct the path") from None
     found = hashlib.sha256(data).hexdigest()
     if digest not in ("", found):
-        raise InputError(f"{path} has changed while it was in use: start again")
+        raise InputError(f"{path} has changed while it was in use: start the command again")
     module = sys.modules[name] = ModuleType(name)
     module.__file__ = str(path)
     try:
@@ -224,13 +224,15 @@ def check_sources(versions: Mapping[str, str], said: str = "") -> None:
     now = _sources(cls for known in _CLASSES.values() for cls in known.values())
     for name, text in versions.items():
         if text.startswith(SUM) and now.get(name, text) != text:
-            raise InputError(f"{name} has changed since: give the former version, or fit again")
+            raise InputError(
+                f"{name} has changed since the fit: restore the former version, or fit again"
+            )
     here = sources_named(said)
     lost = [file for file in versions.items() if file[1].startswith(SUM) and file[0] not in here]
     for name, found in here.items():
         if lost and found.startswith(SUM) and found not in versions.values():
             raise InputError(
-                f"it was made with {lost[0][0]}, and here {name} has a class of that name: give "
+                f"the fit was made with {lost[0][0]}, but here {name} defines its class: give "
                 "the former version, or fit again"
             )
 
@@ -242,10 +244,10 @@ def hint(versions: Mapping[str, str]) -> str:
     loaded = {Path(str(getattr(each, "__file__", ""))).name for each in sys.modules.values()}
     for name, text in versions.items():
         if text.startswith(SUM) and name not in loaded:
-            return f" (it was made with {name}: give --plugin {name})"
+            return f" (the result was made with {name}: give --plugin {name})"
         if not text.startswith(SUM) and name != "python":
             try:
                 metadata.version(name)
             except metadata.PackageNotFoundError:
-                return f" (it was made with {name} {text}: install it)"
+                return f" (the result was made with {name} {text}: install this package)"
     return ""

@@ -108,7 +108,7 @@ def _end_at_the_second(reader: int) -> None:
 _MIN_COMPILE_SECONDS = 0.0
 
 PROGRAMS = "programs"
-"""Folder of the traced programs that are kept, within that of the compilation cache."""
+"""Folder of the stored traced programs, within the folder of the compilation cache."""
 
 _own_process = False
 
@@ -156,8 +156,8 @@ def configure() -> None:
                 jax.config.update("jax_compilation_cache_dir", None)
                 _note(
                     f"{folder} can be written by other accounts, belongs to another account, or "
-                    "cannot be entered, so its programs are not trusted and not used; "
-                    "chmod go-w it, or set JAX_COMPILATION_CACHE_DIR to another folder"
+                    "cannot be entered, so its programs are not trusted and not used: "
+                    "run chmod go-w on it, or set JAX_COMPILATION_CACHE_DIR to another folder"
                 )
                 return
         if _own_process:
@@ -207,7 +207,7 @@ def _say_of_cache(show: Callable[..., None]) -> Callable[..., None]:
             why = " ".join(str(message).partition(": ")[2].split())
             _note(
                 f"compiled programs in {compilation_cache()[0]} cannot be read or written ({why}), "
-                "and are compiled again: see giajax cache"
+                "so programs are compiled again: see giajax cache"
             )
 
     return shown
@@ -242,7 +242,7 @@ Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
 CORES_VARIABLE = "GIAJAX_CORES"
-"""Environment variable: on how many cores to compute at most."""
+"""Environment variable for the maximum number of cores."""
 
 # Of a thread that computes beside others: its part of the cores.
 _part: contextvars.ContextVar[int | None] = contextvars.ContextVar("giajax_cores", default=None)
@@ -267,7 +267,7 @@ def cores() -> int:
         there = len(allowed(0)) if allowed else os.cpu_count() or 1
         return min(there, cgroup_quota() or there)
     if not told.isdecimal() or int(told) == 0:
-        raise InputError(f"{CORES_VARIABLE} is {told!r}: give the number of cores, or leave it out")
+        raise InputError(f"{CORES_VARIABLE} is {told!r}: give the number of cores, or unset it")
     return int(told)
 
 

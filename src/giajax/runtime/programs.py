@@ -67,7 +67,7 @@ class _Description:
     """The text of a tree in pieces."""
 
     kept: ClassVar[bool]
-    """Whether the text is of what is kept: with the numbers of all arrays."""
+    """Whether the text includes the values of all arrays, as for stored content."""
 
     def parts(self, value: Any, *, whole: bool = False) -> Iterator[str]:
         whole = whole or self.kept
@@ -423,7 +423,7 @@ class CachedProgram:
         result = returned[-1]
         shapes = jax.tree.leaves(eqx.filter(result, _is_shaped))
         if _calling(whole) != _calling(_blank(shapes, leaves)):
-            raise ValueError("the function does more than to return arrays")
+            raise ValueError("the function has side effects besides returning arrays")
         return result, whole.mlir_module_serialized
 
     def _name(self, key: str) -> str:
@@ -491,7 +491,7 @@ def restored(text: Any) -> Any:
                 for field, value in fields.items():
                     object.__setattr__(made, field, restored(value))
                 return made
-    raise ValueError("this describes no result of a program")
+    raise ValueError("this is not the description of a program result")
 
 
 def _named(module: str, name: str) -> Any:

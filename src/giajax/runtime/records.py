@@ -25,7 +25,7 @@ Kind = TypeVar("Kind")
 InfiniteWhereNull = Annotated[
     float, AfterValidator(lambda value: math.inf if value is None else value)
 ]
-"""The type of a number that is infinite where a file has null."""
+"""Type of a number for which null in a file means infinity."""
 
 if TYPE_CHECKING:
     Numbers = Any
@@ -51,7 +51,7 @@ def plain_data(value: Any) -> Any:
         return {name: plain_data(getattr(value, name)) for name in names}
     if hasattr(value, "tolist"):  # arrays and scalars of NumPy and JAX
         return plain_data(value.tolist())
-    raise TypeError(f"{type(value).__qualname__} is a type that JSON has no form for")
+    raise TypeError(f"{type(value).__qualname__} is a type that cannot be stored as JSON")
 
 
 def finite_or_none(value: float | None) -> float | None:
@@ -164,7 +164,7 @@ def _complaint(error: ValidationError, data: Any) -> str:
     if first["type"] == "missing":
         return f"{name} is missing"
     if first["type"] == "unexpected_keyword_argument":
-        return f"{name} is not a key of this version"
+        return f"{name} is not a key known to this version"
     if first["type"] == "value_error":  # raised by the record
         return f"{name} {first['ctx']['error']}"
     must = _MUST.get(first["type"], "something else")

@@ -30,8 +30,9 @@ def as_text(given: Any) -> Any:
         same = False
     if not same:
         raise InputError(
-            f"no file can state the solver {shown(text)}: give one of diffrax whose fields are "
-            'numbers, or call giajax.register of its class, with registered_as = "solver" in it'
+            f"the solver {shown(text)} cannot be stored in a file: give a diffrax solver whose "
+            "fields are numbers, or call giajax.register with its class, which must have "
+            'registered_as = "solver"'
         )
     return text
 
@@ -48,9 +49,8 @@ def from_text(text: str) -> Any:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{shown(text)} is not a solver: write it as Python does, such as Kvaerno5(), with "
-            "fields "
-            "that it has"
+            f"{shown(text)} is not a solver: write it as in Python, such as Kvaerno5(), with "
+            "existing fields"
         ) from None
 
 
@@ -64,6 +64,8 @@ def _made(node: ast.expr) -> Any:
     found = [each for module in modules if dataclasses.is_dataclass(each := vars(module).get(name))]
     cls: Any = found[0] if found else registered("solver", name)
     if cls is None:
-        raise InputError(f"there is no solver {name}: give one of diffrax, or register its class")
+        raise InputError(
+            f"the solver {name} is unknown: give a diffrax solver, or register its class"
+        )
     positional = [_made(each) for each in node.args]
     return cls(*positional, **{str(each.arg): _made(each.value) for each in node.keywords})

@@ -47,7 +47,7 @@ class Task:
             name = f"{name.__module__}:{name.__qualname__}"
         if "<" in name or name.count(":") != 1:
             raise InputError(
-                f"the function of a task is {name}, which no other process can find: give one "
+                f"other processes cannot find the function {name} of a task: give a function "
                 'at the top of a module, or its name as "module:function"'
             )
         object.__setattr__(self, "function", name)
@@ -107,8 +107,8 @@ def _described(value: Any) -> Any:
         digits = hashlib.sha256(content(value).encode()).hexdigest()
     except (NoStructureError, RecursionError) as error:
         raise InputError(
-            f"an argument of a task is or has what no text describes ({error}): give plain data, "
-            "arrays, dataclasses, or a `task_key` of its own"
+            f"an argument of a task cannot be described as text ({error}): give plain data, "
+            "arrays or dataclasses, or define `task_key` in its class"
         ) from None
     return f"{name} {digits}"
 

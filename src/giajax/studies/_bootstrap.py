@@ -65,7 +65,10 @@ class Repeated:
 
 @dataclasses.dataclass(frozen=True)
 class Bootstrap(
-    StudyRecord, file="bootstrap.json", head={"schema_version": 1}, remedy="repeat the fit again"
+    StudyRecord,
+    file="bootstrap.json",
+    head={"schema_version": 1},
+    remedy="run giajax bootstrap again",
 ):
     """What repetitions of a fit say of its standard errors and intervals.
 
@@ -428,15 +431,15 @@ def bootstrap(
     """
     fitted = Fitted.of(result, runs, converged=True)
     if not 2 <= size <= _LARGEST:
-        raise InputError(f"the size of a bootstrap is {size}: give 2 repetitions at least")
+        raise InputError(f"the number of repetitions is {size}: give at least 2")
     if method not in get_args(Method):
-        raise InputError(f"there is no bootstrap '{method}': use one of: parametric, block")
+        raise InputError(f"unknown bootstrap method '{method}': use one of: parametric, block")
     if seed < 0:
         raise InputError(f"the seed is {seed}: give 0 or a positive number")
     if whole and result.config.get("priors"):
         raise InputError(
-            "a fit with priors cannot be repeated whole, because the prior values are not drawn "
-            "again: leave whole (--whole) out, or fit without priors (--no-nuisances)"
+            "a fit with priors cannot be repeated whole, because the prior values are not "
+            "resampled: omit whole=True (--whole), or fit without priors (--no-nuisances)"
         )
     optimum = fitted.optimum()
     common = {"method": method, "whole": whole, "seed": seed}
@@ -446,8 +449,8 @@ def bootstrap(
     rows = [row for outcome in outcomes if outcome.status == "done" for row in outcome.value]
     failures = tuple(dict.fromkeys(each.message for each in outcomes if each.message))
     if len(rows) < 2:
-        why = failures[0] if failures else "it was stopped"
-        raise InputError(f"no two repetitions of the fit could be done: {why}")
+        why = failures[0] if failures else "the bootstrap was stopped"
+        raise InputError(f"fewer than two repetitions of the fit were completed: {why}")
     back = [row for row in rows if row["converged"]]
     scale = optimum.statistics.scale if method == "parametric" else 1.0
     names = [run.name for run in fitted.runs]
@@ -497,8 +500,8 @@ def _notes(result: FitResult, method: Method, *, whole: bool) -> tuple[str, ...]
     notes = ["each repetition starts at the optimum of the fit, so other optima are not searched"]
     if not whole:
         notes.append(
-            "the noise is fixed at its fitted value, so the uncertainty from its estimation is "
-            "left out: whole=True (--whole) includes it"
+            "the noise is fixed at its fitted value, so the uncertainty of the noise estimate is "
+            "not included: whole=True (--whole) includes it"
         )
     if method == "parametric":
         notes.append(
@@ -506,12 +509,12 @@ def _notes(result: FitResult, method: Method, *, whole: bool) -> tuple[str, ...]
         )
         if not result.loss.is_linear:
             notes.append(
-                "the noise is normal, and larger in cells with a low weight: other cells get no "
-                "outliers"
+                "the simulated noise is normally distributed, with a larger variance in cells "
+                "with a low weight; the other cells contain no outliers"
             )
     else:
         notes.append(
-            "the mean of each channel's residuals is left out, and residuals between runs are not "
-            "exchanged"
+            "the mean residual of each channel is subtracted, and residuals are not exchanged "
+            "between runs"
         )
     return tuple(notes)

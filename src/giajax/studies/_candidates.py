@@ -17,8 +17,8 @@ from ._score import responses_of, white_noise
 # still air; but in a recorded wind that changes, what is on has the pressure of the air that speeds
 # up as well, which acts on whatever displaces it.
 _REASON = (
-    "its neutral value also changes the predictions for these runs, so it cannot be tested: free "
-    "it in a fit"
+    "the neutral value of the parameter also changes the predictions for these runs, so the "
+    "parameter cannot be tested: free it in a fit"
 )
 
 _NOTICED = 0.05  # of the noise of a channel: what the steps of an integrator change is far less
@@ -149,8 +149,8 @@ def inquiry(
     for path in each:
         if path not in known or not (known[path].declaration.per or known[path].declaration.shape):
             raise InputError(
-                f"'{path}' has no elements to test one by one: name a parameter with one value per "
-                "link, joint or axis"
+                f"'{path}' has no elements that can be tested one by one: name a parameter with "
+                "one value per link, joint or axis"
             )
     for path in {*each, *beside}.intersection(known):
         # One number for all joints becomes one for each.

@@ -60,7 +60,7 @@ def parted(run: Run, fraction: float) -> tuple[Run, Run]:
     between 0 and 1, or leaves too few values to a part.
     """
     if not 0 < fraction < 1:
-        raise InputError(f"the held-out fraction is {fraction:g}: give one between 0 and 1")
+        raise InputError(f"the held-out fraction is {fraction:g}: give a value between 0 and 1")
     name, values = next(iter(run.observations.items()))
     measured = np.flatnonzero(~np.isnan(values))
     first = round(len(measured) * (1 - fraction))
@@ -260,9 +260,11 @@ def choose_hysteresis(
     unknown = [name for name in names if name not in CANDIDATES]
     if unknown or not names:
         which = f" '{unknown[0]}'" if unknown else ""
-        raise InputError(f"there is no candidate{which}: use some of: {', '.join(CANDIDATES)}")
+        raise InputError(f"unknown candidate{which}: choose from: {', '.join(CANDIDATES)}")
     if not runs or any(run.model != HysteresisModel.kind for run in (*runs, *held_out)):
-        raise InputError("a choice is between models of hysteresis: give runs of hysteresis")
+        raise InputError(
+            "only hysteresis models can be compared: give runs of the hysteresis model"
+        )
     for run in (*runs, *held_out):
         run.require_observations()
     fitted, judged = runs, held_out
@@ -292,8 +294,8 @@ def choice_hint(runs: Sequence[Run], paths: Sequence[str]) -> str:
         return ""
     words = " ".join(f"--data {shlex.quote(path)}" for path in paths)
     return (
-        "no sidecar states an operator in [hysteresis], so the default was fitted: to compare "
-        f"it with the others, run giajax choose {words}"
+        "no sidecar states an operator in [hysteresis], so the default operator was fitted: to "
+        f"compare it with the other operators, run giajax choose {words}"
     )
 
 

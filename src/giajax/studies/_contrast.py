@@ -19,22 +19,22 @@ def obstacles(results: Sequence[FitResult], names: Sequence[str]) -> list[str]:
     for result, name, others in zip(results[1:], names[1:], assumed[1:], strict=True):
         if not all(run.sha256 for run in (*first.runs, *result.runs)):
             said.append(
-                f"{names[0]} or {name} was fitted to a run without a file: whether their data are "
-                "the same is not known, so chi-square and BIC cannot be compared"
+                f"{names[0]} or {name} was fitted to a run without a file, so it is unknown "
+                "whether their data are the same: chi-square and BIC cannot be compared"
             )
         elif _data(first) != _data(result):
             said.append(
                 f"{names[0]} and {name} were fitted to different data: chi-square and BIC cannot "
-                "be compared, parameters can"
+                "be compared, but parameters can"
             )
         elif differing := [what for what, mine in assumed[0].items() if others[what] != mine]:
             said.append(
-                f"{names[0]} and {name} assume another {' and another '.join(differing)}: "
+                f"{names[0]} and {name} differ in the assumed {' and '.join(differing)}: "
                 "chi-square, BIC and standard errors cannot be compared"
             )
     for result, name in zip(results, names, strict=True):
         if result.status != "converged":
-            said.append(f"{name} has not converged: its values are not at an optimum")
+            said.append(f"{name} has not converged: its estimates are not at an optimum")
     return said
 
 
@@ -170,8 +170,8 @@ def contrast(results: Sequence[FitResult], names: Sequence[str]) -> Contrast:
     shared = {sha for run in results[0].runs if (sha := run.sha256)}
     if any(shared & {run.sha256 for run in result.runs} for result in results[1:]):
         notes.append(
-            "results of the same recording share its noise, so a difference between them is more "
-            "significant than the number suggests"
+            "results from the same recording share its noise, so a difference between them is more "
+            "significant than the number of standard errors suggests"
         )
     return Contrast(columns, tuple(_row(path, tables) for path in paths), tuple(notes))
 

@@ -202,7 +202,7 @@ class Kept(AbstractFits):
         return load_result(self.folder / FITS / line["fit"])
 
 
-_REMEDY = "remove it, and explain the data again"
+_REMEDY = "remove it, and run giajax explain again"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -212,7 +212,7 @@ class _Asked:
 
     def __post_init__(self) -> None:
         if self.tries is not None and self.tries < 1:
-            raise ValueError("has fewer tries than 1")
+            raise ValueError("states fewer than 1 suspect to try at each step")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,9 +227,9 @@ class _Line:
     def __post_init__(self) -> None:
         said = [self.suspects is not None, self.fit is not None, self.refused is not None]
         if sum(said) != 1 or said[0] != (self.name == "suspects"):
-            raise ValueError("is not a line of an explanation")
+            raise ValueError("is not a valid line of this journal")
         if self.fit is not None and re.fullmatch(r"[0-9]+\.json", self.fit) is None:
-            raise ValueError("names no file of its fits")
+            raise ValueError("does not name the file of a fit")
 
 
 def _read(path: Path) -> list[dict[str, Any]]:
@@ -298,7 +298,7 @@ def explain(
             written or has a damaged journal.
     """
     if tries is not None and tries < 1:
-        raise InputError(f"{tries} suspects cannot be tried at each step: give 1 or more")
+        raise InputError(f"the number of suspects to try at each step is {tries}: give at least 1")
     whole = matching_runs(result.runs, runs)
     apart = [*validation, *held_out]
     fitted, partly = (whole, result) if apart else _without_last(whole, result, apart)
@@ -326,7 +326,7 @@ def explain(
             if end:
                 return "selected"
             begin, left = None, left - 1
-        climb.ending = f"{max_steps} steps were allowed"
+        climb.ending = f"the limit of {max_steps} steps was reached"
         return "steps"
 
     def first() -> Ended:
@@ -343,7 +343,7 @@ def explain(
         one = Measured.of(begun, fitted, apart)
         outliers = sum(int(np.sum(found)) for found in outlying(one.at))
         if outliers and result.loss.is_linear:
-            kept.say(f"{outliers} outliers: the loss is now {ROBUST}")
+            kept.say(f"{outliers} outliers were found: the loss is now {ROBUST}")
             begun = kept.refit(
                 f"the first model with the loss {ROBUST}", begun, fitted, loss=ROBUST
             )
@@ -393,7 +393,7 @@ def explain(
     record = _record(result, climb, last, ended, outliers)
     if len(record.steps) > 1 or last.loss != result.loss:
         sentence = (
-            "the model was selected by these data: standard errors are conditional on it, and "
+            "the model was selected with these data: standard errors are conditional on it, and "
             "explain.json adds the spread over models that fit nearly as well (selection_error)"
         )
         last = dataclasses.replace(last, conditions=(*last.conditions, sentence))
@@ -417,7 +417,7 @@ def _ended(climb: Climb, grow: Callable[[], Ended]) -> Ended:
 
 _STOPPED: dict[Ended, str] = {
     "interrupted": "interrupted: this is the result so far",
-    "budget": "the budget was used up: this is the result so far",
+    "budget": "the time budget was exhausted: this is the result so far",
 }
 
 
@@ -475,8 +475,10 @@ class _Told:
             done, name = 0, ALL if len(self.climb.taken) > 1 else "the first model"
         reduced = step.chi_square / max(step.values - step.parameters, 1)
         left = time_in_words(taken * max(self.most - done, 0))
-        more = f"; at most about {left} left, and less if no suspect is significant" if done else ""
-        self.say(f"{name}: chi-square {step.chi_square:.5g} ({reduced:.3g} a value){more}")
+        more = (
+            f"; at most about {left} remaining, less if no suspect is significant" if done else ""
+        )
+        self.say(f"{name}: chi-square {step.chi_square:.5g} ({reduced:.3g} per value){more}")
 
 
 def _chosen(tries: int, result: FitResult, found: Suspects) -> list[Suspect]:

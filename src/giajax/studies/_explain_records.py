@@ -69,7 +69,7 @@ class Explanation(
     StudyRecord,
     file="explain.json",
     head={"explain_version": 1},
-    remedy="explain the data again",
+    remedy="run giajax explain again",
 ):
     """What a run needs beyond the model that was assumed, step by step.
 

@@ -237,7 +237,7 @@ def influence(
     """
     fitted = Fitted.of(result, runs, converged=True)
     if not 1 <= spans <= _MOST_SPANS:
-        raise InputError(f"there are {spans} spans: give a number from 1 to {_MOST_SPANS}")
+        raise InputError(f"the number of spans is {spans}: give a number from 1 to {_MOST_SPANS}")
     optimum = fitted.optimum()
     parts = parts_of(fitted.runs, spans)
     steps = _steps(optimum, parts)
@@ -328,10 +328,10 @@ def _notes(optimum: Optimum, *, exact: bool) -> tuple[str, ...]:
     notes = ["the noise and the weights of outliers are fixed at their fitted values"]
     if not exact:
         notes.append(
-            "parts other than single runs are left out to first order: exact=True (--exact) "
-            "fits without them"
+            "the effect of leaving out a part other than a run is computed to first order: "
+            "exact=True (--exact) repeats the fit without each part"
         )
     known = optimum.statistics
     if held := [known.labels[place] for place in known.bounds]:
-        notes.append(f"at a bound, and fixed there in a first-order step: {', '.join(held)}")
+        notes.append(f"parameters at a bound, fixed there to first order: {', '.join(held)}")
     return tuple(notes)

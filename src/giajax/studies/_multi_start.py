@@ -189,7 +189,8 @@ def solve_from_starts(
     # What is wrong is refused before the first start, not after it.
     if executor is not None and settings.optimiser is not None:
         raise InputError(
-            "workers fit by giajax's own optimiser alone: leave out the executor, or the optimiser"
+            "parallel workers support only giajax's own optimiser: omit the executor or the "
+            "optimiser"
         )
     count, spent = cores(), threading.Event()
 

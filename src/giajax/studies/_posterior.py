@@ -210,13 +210,14 @@ def posterior(
     doubled = [label for label in optimum.labels if optimum.labels.count(label) > 1]
     if doubled:
         raise InputError(
-            f"two runs have one name, and {doubled[0]} in each, so results of one of them would be "
-            "ambiguous: rename one"
+            f"two runs have the same name, so their values of {doubled[0]} would be ambiguous: "
+            "rename one of the runs"
         )
     density = density_of(optimum)
     if not density.places:
         raise InputError(
-            "no channel responds to what is free in this fit, so nothing can be drawn: free more"
+            "no channel responds to the free parameters of this fit, so no posterior can be "
+            "sampled: free other parameters"
         )
     begun = [_begun(density, fitted, number, seed) for number in range(chains)]
     tasks = [
@@ -235,7 +236,7 @@ def posterior(
     found = [outcome.value for outcome in outcomes if outcome.status == "done"]
     failed = [outcome.message for outcome in outcomes if outcome.status == "failed"]
     if not found:
-        raise InputError(f"no chain was drawn: {failed[0]}") if failed else KeyboardInterrupt
+        raise InputError(f"no chain could be sampled: {failed[0]}") if failed else KeyboardInterrupt
     whole = np.stack([np.asarray(one["values"], dtype=float) for one in found])
     each = bands(result, fitted.runs, optimum, whole.reshape(-1, whole.shape[-1]))
     samples = whole[..., np.asarray(density.places)]
@@ -272,7 +273,8 @@ def check_posterior(*, chains: int = 1, draws: int = 8, warmup: int = 0) -> None
     """Refuse what cannot be drawn, before anything is computed."""
     if importlib.util.find_spec("numpyro") is None:
         raise InputError(
-            f"a posterior needs NumPyro, which is not installed: {install_command('posterior')}"
+            "sampling a posterior requires NumPyro, which is not installed: "
+            f"{install_command('posterior')}"
         )
     for what, number, least in (("chains", chains, 1), ("draws", draws, 8), ("warmup", warmup, 0)):
         if number < least:

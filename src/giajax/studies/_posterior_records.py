@@ -122,7 +122,7 @@ def as_arviz(
                 package = importlib.import_module("arviz")
         except ImportError:
             raise InputError(
-                "ArviZ is required for the draws, and is not installed: "
+                "reading the draws requires ArviZ, which is not installed: "
                 f"{install_command('posterior')}"
             ) from None
     groups = {"posterior": dict(posterior), "sample_stats": dict(statistics)}
@@ -222,12 +222,14 @@ def doubts(
     chains = samples.shape[0]
     if chains < asked:
         why = f" ({failed[0]})" if failed else ""
-        sentences.append(f"{asked - chains} of {asked} chains were not drawn{why}: run it again")
+        sentences.append(
+            f"{asked - chains} of {asked} chains were not sampled{why}: run giajax posterior again"
+        )
     known = {label: one for label, one in marginals.items() if one.r_hat is not None}
     if stuck := [label for label in marginals if label not in known]:
         sentences.append(
-            f"the chains are stuck: the draws of {' and '.join(stuck)} in a chain are all equal; "
-            "take a longer warm-up, and if that does not help give priors or bounds that exclude "
+            f"the chains are stuck: within a chain, all draws of {' and '.join(stuck)} are equal; "
+            "use a longer warm-up, and if that does not help, give priors or bounds that exclude "
             "values where the model fails"
         )
     hats = {label: one.r_hat or 0.0 for label, one in known.items()}
@@ -235,20 +237,20 @@ def doubts(
     if worst and hats[worst] > MOST_R_HAT:
         sentences.append(
             f"the chains have not converged: R-hat of {worst} is {hats[worst]:.3f}, above "
-            f"{MOST_R_HAT:g}; take more draws and a longer warm-up"
+            f"{MOST_R_HAT:g}; use more draws and a longer warm-up"
         )
     sizes = {name: min(one.ess_bulk or 0.0, one.ess_tail or 0.0) for name, one in known.items()}
     least = min(sizes, key=lambda label: sizes[label], default="")
     if least and sizes[least] < LEAST_ESS:
         sentences.append(
-            f"the draws of {least} are worth {sizes[least]:.0f} independent ones, but an interval "
-            f"needs {LEAST_ESS}: take more draws"
+            f"the draws of {least} are equivalent to {sizes[least]:.0f} independent draws, but an "
+            f"interval requires {LEAST_ESS}: use more draws"
         )
     if divergences:
         sentences.append(
-            f"{divergences} of {chains * samples.shape[1]} draws diverged, so a part of "
-            "the posterior may be missing: free fewer parameters, or give priors or bounds that "
-            "exclude values where the model fails"
+            f"{divergences} of {chains * samples.shape[1]} draws diverged, so part of "
+            "the posterior may not have been sampled: free fewer parameters, or give priors or "
+            "bounds that exclude values where the model fails"
         )
     return sentences
 

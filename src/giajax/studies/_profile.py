@@ -110,7 +110,7 @@ def walked(optimum: Optimum, profiled: Profiled, side: int, reach: float) -> Sid
 
     bound = profiled.upper if side > 0 else profiled.lower
     if profiled.fixed:
-        return side_of(points, "flat", "no channel responds to it")
+        return side_of(points, "flat", "no channel responds to this quantity")
     step, retries = _STEP * profiled.size, 0
     near = _AT_BOUND * max(profiled.size, abs(profiled.value))
     while len(points) <= _MOST_POINTS:
@@ -279,10 +279,10 @@ def profile(
         >>> profiles["air.drag_coefficient"].interval  # doctest: +SKIP
     """
     if not 0 < level < 1:
-        raise InputError(f"the level is {level:g}: give one between 0 and 1, such as 0.95")
+        raise InputError(f"the level is {level:g}: give a value between 0 and 1, such as 0.95")
     fitted = Fitted.of(result, runs, converged=True)
     if known is not None and not (known.is_of(result) and known.level == level):
-        raise InputError("the known profiles are of another fit or level: leave them out")
+        raise InputError("the known profiles belong to another fit or level: omit them")
     optimum = fitted.optimum()
     asked = quantity_names(result, optimum, paths)
     there = {} if known is None else known.profiles

@@ -90,7 +90,7 @@ class Profile:
 
 @dataclasses.dataclass(frozen=True)
 class Profiles(
-    StudyRecord, file=PROFILES, head={"giajax_profiles": 1}, remedy="profile the fit again"
+    StudyRecord, file=PROFILES, head={"giajax_profiles": 1}, remedy="run giajax profile again"
 ):
     """Profiles of a fit.
 
@@ -120,11 +120,11 @@ def load_profiles(path: str | Path) -> Profiles:
     """
     path = Path(path)
     path = path / PROFILES if path.is_dir() else path
-    what = f"{path} holds no profiles of this version of giajax"
+    what = f"{path} does not contain profiles of this version of giajax"
     try:
         text = read_bytes(path, RESULT_BYTES)
     except FileNotFoundError:
-        raise InputError(f"{path} does not exist: make it with giajax profile") from None
+        raise InputError(f"{path} does not exist: create it with giajax profile") from None
     except OSError as error:
         raise InputError(f"{what} ({error.strerror}): run giajax profile again") from None
     return parse_record(Profiles, text, Profiles.head, what, "run giajax profile again")
@@ -174,15 +174,15 @@ def remarks_on(
     if lowest.deviance < -LOWER:
         said.append(
             f"the fit was not at its optimum: the deviance is {lowest.deviance:.2g} at "
-            f"{lowest.value:.5g}, so fit again from there"
+            f"{lowest.value:.5g}, so fit again from this value"
         )
     for place, word in enumerate(("lower", "upper")):
         if (sentence := _of_side(ended[place], reasons[place], word)) is not None:
             said.append(sentence)
         elif interval[place] is None and ended[place] == "level":
-            said.append(f"its {word} end was not found: fit again from the lowest cost")
+            said.append(f"its {word} limit was not found: fit again from the point of lowest cost")
     if ended == ("bound", "bound"):
-        said.append("the data do not limit it within its bounds")
+        said.append("the data do not constrain it within its bounds")
     low = -np.inf if interval[0] is None else interval[0]
     high = np.inf if interval[1] is None else interval[1]
     inside = [point for point in points if low <= point.value <= high]
@@ -199,14 +199,14 @@ def remarks_on(
 
 def _of_side(ended: Ending, reason: str, word: str) -> str | None:
     why = {
-        "wall": "the model cannot be evaluated beyond",
-        "iterations": "a fit used up its iterations",
+        "wall": "the model cannot be evaluated beyond this point",
+        "iterations": "a fit reached its iteration limit",
     }.get(reason, reason if " " in reason else "a fit did not end at an optimum")
     sentences = {
-        "bound": f"one-sided: its {word} end is its bound",
+        "bound": f"one-sided: its {word} limit is its bound",
         "flat": f"the data give no {word} limit{f': {reason}' if reason else ''}",
-        "failed": f"its {word} end was not reached: {why}",
-        "unfinished": f"its {word} end was not reached: the deviance rises too slowly",
-        "stopped": f"its {word} side was stopped",
+        "failed": f"its {word} limit was not reached: {why}",
+        "unfinished": f"its {word} limit was not reached: the deviance rises too slowly",
+        "stopped": f"the search for its {word} limit was stopped",
     }
     return sentences.get(ended)

@@ -272,8 +272,8 @@ def quantity_names(result: FitResult, optimum: Optimum, asked: Sequence[str] | N
         if not found:
             known = one_of([*shared, *result.derived])
             raise InputError(
-                f"'{path}' was not free in this fit, and does not follow from what was: use one of "
-                f"{known}"
+                f"'{path}' was neither free in this fit nor derived from free parameters: use one "
+                f"of {known}"
             )
         names += found
     return list(dict.fromkeys(names))

@@ -135,7 +135,7 @@ def sensitivity(
     if not names:
         raise InputError(f"'{run.name}' has no measured channel: give the channels of interest")
     if not parameters:
-        raise InputError("there is no parameter: give at least one path")
+        raise InputError("no parameter is given: give the path of at least one")
     model = capabilities.for_derivatives(switched_on(model, parameters), parameters)
     parts = {part.path: part for path in parameters for part in elements(model, path)}
     values = jnp.stack([jnp.asarray(part.value(model)) for part in parts.values()])

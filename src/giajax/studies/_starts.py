@@ -165,7 +165,7 @@ def inside_bounds(setup: Setup, values: Mapping[str, float]) -> dict[str, float]
 
 
 # What becomes of a start for which there is no time: it is not one that failed.
-_NO_TIME = "the budget of the fit ended this start"
+_NO_TIME = "the time budget of the fit was exhausted during this start"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -337,10 +337,11 @@ def earlier_starts(
             list(start.start.values()), [wanted[path] for path in start.start], rtol=1e-9, atol=0
         ):
             raise InputError(
-                "the result to add starts to has other initial guesses: give its seed and spread"
+                "the result to add starts to has other initial guesses: give the same seed and "
+                "spread"
             )
     if len(whole) > len(values):
         raise InputError(
-            f"the result to add starts to has {len(whole)} of them already: give a larger number"
+            f"the result to add starts to already has {len(whole)} starts: give a larger number"
         )
     return whole

@@ -465,7 +465,7 @@ def ladder(
         InputError: as `giajax.suspects`, or `tries` is below 1.
     """
     if tries < 1:
-        raise InputError(f"{tries} suspects cannot be tried at each step: give 1 or more")
+        raise InputError(f"the number of suspects to try at each step is {tries}: give at least 1")
     climb = Climb(matching_runs(result.runs, runs), list(held_out), progress=progress)
     correlated = result.noise is None or result.noise.widening
     white = refit(result, climb.runs, noise_model="white") if correlated else result
@@ -474,7 +474,7 @@ def ladder(
         if climb.step(tries):
             break
     else:
-        climb.ending = f"{most} steps were allowed"
+        climb.ending = f"the limit of {most} steps was reached"
     steps = climb.steps()
     steps[-1] = dataclasses.replace(steps[-1], result=as_asked(result, steps, climb.runs))
     return StepwiseSelection(tuple(steps), climb.ending)
@@ -537,7 +537,7 @@ class Climb:
                 break
         self.passed += [fit for fit, _, _ in made if not (lower and fit is one[0])]
         if not lower:
-            self.ending = f"{one[0].step(noise).change} was tried, and increases BIC"
+            self.ending = f"{one[0].step(noise).change} was tried and increases BIC"
             return True
         _, self.runs, self.apart = one
         self.take(one[0])

@@ -136,8 +136,8 @@ class Suspects:
             if self.left_over < _EXPLAINED or self.left_over**2 - 1 < _SECOND_ORDER * before:
                 return verdict
             sentence = (
-                "no fixed or omitted parameter explains it: with the best suspects the residuals "
-                "are "
+                "no fixed or omitted parameter explains the misfit: with the best suspects the "
+                "residuals are "
                 f"still {self.left_over:.3g} times the white noise (see left_over.png)"
             )
             # The last one, however sure it is.
@@ -161,10 +161,10 @@ def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
     """What was held or left out, how large it is, what that moves, and what to do."""
     if row.kind == "switch":
         return (
-            f"the data prefer '{row.path}' by {row.chi_square_drop:.3g} in chi-square, which "
+            f"the choice '{row.path}' lowers chi-square by {row.chi_square_drop:.3g} and "
             f"changes {path} "
-            f"by {by:+.2g} of its standard errors: use that choice (giajax suspects lists all of "
-            "them)"
+            f"by {by:+.2g} of its standard errors: use it (giajax suspects lists all "
+            "choices)"
         )
     values, errors = (
         np.atleast_1d(np.array(row.estimate)),
@@ -177,11 +177,11 @@ def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
     also = f" (or {others}, which the data can hardly distinguish from it)" if others else ""
     plain = isinstance(row.value, float) and row.kind != "factor"
     held = f"fixed at {row.value:.4g}{unit}" if plain else "held"
-    times = "its value times " if row.kind == "factor" else ""
+    times = "a factor of " if row.kind == "factor" else ""
     free = " ".join(f"--free {each}" for each in [*result.asked, row.path])
     return (
-        f"{row.path}{also} is {held}, and the residuals suggest {times}{shown}{unit}, which moves "
-        f"{path} by {by:+.2g} of its standard errors: also fit it, by {free}"
+        f"{row.path}{also} is {held}, and the residuals suggest {times}{shown}{unit}, which shifts "
+        f"{path} by {by:+.2g} of its standard errors: fit it too, with {free}"
     )
 
 
@@ -220,7 +220,7 @@ def parameter_rows(
     for path, indices in members.items():
         among = [candidates[index] for index in indices]
         if path in scattering:
-            note = "standard deviation among its elements"
+            note = "standard deviation of its elements"
             rows.append(_amount_row(path, "scatter", scatter(rest, indices), note))
             continue
         found = score(
@@ -246,7 +246,7 @@ def _row(path: str, among: Sequence[Candidate], found: Score, others: tuple[str,
     error = found.error.tolist()
     group, note = len(among) > 1, ""
     if not group and not among[0].lower < value[0] < among[0].upper:
-        note = "fixed at its bound: tested towards the inside"
+        note = "fixed at its bound: tested only towards the interior"
         if found.drop == 0:
             note += ", and the data suggest a value beyond the bound"
     return Suspect(
@@ -286,13 +286,13 @@ def _why_not(rest: Projected, index: int, one: Candidate) -> str:
     """Why a candidate is not testable; empty where it is."""
     norm, left = float(rest.norms[index]), float(rest.perpendicular[index])
     if not np.isfinite(norm):
-        return "its derivative is not finite here"
+        return "its derivative is not finite at this value"
     if norm * one.size < 1e-6:
         return "no channel responds to it"
     if left < IMITATED * norm:
         return "the fitted parameters have the same effect: only a ratio is identifiable"
     if left * one.size * _NOT_SHOWN < 1:
-        return f"the data are insensitive even to a change by {_NOT_SHOWN:g} times its size"
+        return f"the data are insensitive even to a change of {_NOT_SHOWN:g} times its magnitude"
     return ""
 
 
@@ -308,7 +308,7 @@ def switch_row(rest: Projected, index: int, name: str) -> Suspect:
         note = (
             "the fitted parameters have the same effect"
             if norm >= 1
-            else "it changes no prediction"
+            else "it does not change any prediction"
         )
         return _untestable(name, "switch", note, value=0.0)
     return _amount_row(name, "switch", score(rest, [index], [0.0], [1.0]))
@@ -357,7 +357,7 @@ def outliers_row(
     share, by_chance = len(away) / rest.values, pdtrc(len(away) - 1, _BY_CHANCE * rest.values)
     sizes = np.array([share]), np.array([share / np.sqrt(len(away))])
     found = Score(*sizes, float(np.sum(away**2)), float(by_chance))
-    note = "share of cells that differ from both of their neighbours: fit by --loss student_t"
+    note = "fraction of cells that differ from both neighbours: fit with --loss student_t"
     row = _amount_row("outliers", "outliers", found, note)
     return [dataclasses.replace(row, degrees_of_freedom=len(away))]
 

@@ -54,19 +54,21 @@ def stated_doubts(
         numbers = np.asarray(deviation, dtype=float)
         if numbers.size not in (1, len(parts)):
             raise InputError(
-                f"the uncertainty of {path} has {numbers.size} values, and it has {len(parts)}: "
-                "give one, or one for each"
+                f"the uncertainty of {path} has {numbers.size} values, but the parameter has "
+                f"{len(parts)}: give one value, or one for each element"
             )
         if not np.all(np.isfinite(numbers)) or not np.all(numbers > 0):
             raise InputError(f"the uncertainty of {path} is not positive: give a positive number")
         fitted = [part.path for part in parts if part.path in free]
         if fitted:
             raise InputError(
-                f"{fitted[0]} is fitted, so the fit estimates its uncertainty: fix it, or leave "
-                "its uncertainty out"
+                f"{fitted[0]} is fitted, so the fit estimates its uncertainty: fix it, or omit "
+                "its uncertainty"
             )
         if asked.following.issuperset(part.path for part in parts):
-            raise InputError(f"{path} is tied to other parameters: state the uncertainty of those")
+            raise InputError(
+                f"{path} is tied to other parameters: state the uncertainty of those parameters"
+            )
         name = path.partition("[")[0]
         whole = np.asarray(get(model, name), dtype=float)
         each = np.broadcast_to(numbers, (len(parts),))
@@ -157,13 +159,13 @@ def deciding_conditions(errors: Sequence[SystematicError]) -> list[str]:
         change = f"{error.uncertainty:.3g} {error.unit}".rstrip() if error.stated else "1 %"
         if error.decides:
             sentences.append(
-                f"{error.path}{_DECIDES}, because a change of it by {change} changes "
-                f"{_named(error.decides)} by more than a standard error"
+                f"{error.path}{_DECIDES} fixed, and a change of this value by {change} shifts "
+                f"{_named(error.decides)} by more than one standard error"
             )
     return sentences
 
 
-_DECIDES = ": is held and decides"
+_DECIDES = ": is held"
 _NAMED = 4
 
 

@@ -221,7 +221,7 @@ class FitTask:
         folder = Path(folder)
         journal = read_journal(folder)
         if journal is None:
-            raise InputError(f"{folder} has no journal of a fit: give the folder of one")
+            raise InputError(f"{folder} has no journal of a fit: give the folder of a fit")
         fields = unchanged(journal.head["task"], folder)
         fields["definition"] = known_to(journal.head["config"], fields["definition"])
         return cls(**fields).on_top(out=folder)

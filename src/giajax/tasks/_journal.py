@@ -56,7 +56,7 @@ def _checksum(path: Path, needed: bool) -> str | None:
     try:
         return hashlib.sha256(read_bytes(path, RUN_BYTES)).hexdigest()
     except FileNotFoundError:
-        raise InputError(f"{path} does not exist any more: restore it") from None
+        raise InputError(f"{path} no longer exists: restore it") from None
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}): make it readable") from None
 
@@ -88,8 +88,8 @@ def _places(record: Mapping[str, Any], folder: Path) -> Callable[[str], Path]:
     if not there:
         missing = next(name for name in names if not (bases[0] / name).exists())
         raise InputError(
-            f"{missing}, which {folder} was fitted to, does not exist: run this where it is, or "
-            "restore it"
+            f"{missing}, to which {folder} was fitted, does not exist: run the command where the "
+            "file is, or restore it"
         )
     # Another file of the same name may be here.
     complaints = [_change(record, base) for base in there]
@@ -155,8 +155,8 @@ def check_again(now: Mapping[str, Any], before: Mapping[str, Any], folder: Path)
     by_other_names = ("nuisances", *(("data", "validation") if same_files else ()))
     if names := [name for name in differences(now, before) if name not in by_other_names]:
         raise InputError(
-            f"the fit in {folder} has other settings (it differs in {', '.join(names)}): leave "
-            "them out to continue it, or fit again into another folder"
+            f"the fit in {folder} has other settings (different: {', '.join(names)}): omit "
+            "these settings to continue it, or fit again into another folder"
         )
 
 
@@ -174,7 +174,7 @@ def version_note(versions: Mapping[str, str]) -> str:
         except PackageNotFoundError:
             now = "none"
         if now != before:
-            changed.append(f"{name} {before} then, {now} now")
+            changed.append(f"{name} {before} before, {now} now")
     shown = f"other versions are installed ({'; '.join(changed)}): the last digits may differ"
     return shown if changed else ""
 
@@ -237,7 +237,7 @@ def _taken(path: Path) -> int:
             with contextlib.suppress(OSError):
                 words = os.read(descriptor, 200).strip()
             os.close(descriptor)
-            holder = words.decode(errors="replace") or "its process is not known"
+            holder = words.decode(errors="replace") or "unknown process"
             raise InputError(
                 f"another fit is writing to {path.parent} ({holder}): wait until it has ended, "
                 "or give another folder"
@@ -380,8 +380,8 @@ class Part:
     def bits_differ(self) -> None:
         """Say that this machine computes other bits."""
         self.journal.warn(
-            "this machine or its libraries give other last digits than the journal: the fit "
-            "continues, and its last digits may differ"
+            "this machine or its libraries differ from the journal in the last digits: the fit "
+            "continues, and the last digits of the result may differ"
         )
 
 

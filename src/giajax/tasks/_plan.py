@@ -29,7 +29,7 @@ from ._fit_task import FitTask
 from ._journal import checksums_of
 
 TABLES = ("start", "fix", "priors", "bounds", "ties", "groups")
-"""Keys of `[fit]` that hold a value for each of some paths."""
+"""Keys of `[fit]` that are tables of values by parameter path."""
 
 # Where the result of one fit would go, and what is computed after a single one.
 _NOT_HERE = ("out", "uncertainty")
@@ -42,7 +42,7 @@ DRAWS = {
     "log_uniform": "[low, high], both positive",
     "normal": "[mean, deviation]",
 }
-"""Distributions, and what each is of."""
+"""Distributions and the form of their arguments."""
 
 # A table with one of these is a value, and no part of a path; the first is of a prior.
 _OF_VALUES = {"value", *RANGE, *DRAWS}
@@ -64,16 +64,18 @@ def columns_of(section: Mapping[str, Any], where: str) -> dict[str, Any]:
     for name, value in section.items():
         if name not in known:
             if name == "uncertainty":
-                raise InputError(f"{where}: {name} has no effect in a sweep: leave it out")
+                raise InputError(f"{where}: {name} has no effect in a sweep: omit it")
             raise InputError(
-                f"{where}: unknown key {shown(name)}: give one of [fit], such as fix, start, loss "
-                "or data"
+                f"{where}: unknown key {shown(name)}: give a key of [fit], such as fix, start, "
+                "loss or data"
             )
         if name not in TABLES:
             columns[name] = value
             continue
         if not isinstance(value, Mapping):
-            raise InputError(f"{where}: {name} must be a table of parameter paths: write it as one")
+            raise InputError(
+                f"{where}: {name} must be a table of parameter paths: write it as a table"
+            )
         try:
             paths = flat(value, leaves=_OF_VALUES)
         except ValueError as error:
@@ -85,7 +87,9 @@ def columns_of(section: Mapping[str, Any], where: str) -> dict[str, Any]:
 def check_count(count: int, where: str) -> None:
     """Refuse more fits than a plan may have, before they are made."""
     if count > MOST:
-        raise InputError(f"{where} has {count:,} fits, but may have {MOST:,} at most: plan fewer")
+        raise InputError(
+            f"{where} has {count:,} fits, but at most {MOST:,} are allowed: reduce the number"
+        )
 
 
 _METHODS = ("sobol", "random")
@@ -112,10 +116,10 @@ def _listed(value: Any, where: str) -> list[Any]:
     if type(count) is int:
         check_count(count, where)
     if not (_is_number(low) and _is_number(high) and type(count) is int and count > 0):
-        raise InputError(f"{where} must go from a number to a number in a count: correct it")
+        raise InputError(f"{where} must state two numbers and a positive count: correct it")
     logarithmic = value.get("log", False)
     if logarithmic and not min(low, high) > 0:
-        raise InputError(f"{where} is logarithmic, so both ends must be positive")
+        raise InputError(f"{where} is logarithmic, so both ends must be positive: correct them")
     # Whole numbers stay whole where every one is: some keys take no other.
     steps = max(count - 1, 1)
     if type(low) is type(high) is int and not logarithmic and (high - low) % steps == 0:
@@ -123,7 +127,7 @@ def _listed(value: Any, where: str) -> list[Any]:
     with np.errstate(all="ignore"):
         spaced = (np.geomspace if logarithmic else np.linspace)(float(low), float(high), count)
     if not np.all(np.isfinite(spaced)):
-        raise InputError(f"{where} is too wide a range: give closer ends")
+        raise InputError(f"{where} is too wide a range: reduce the range")
     return [float(number) for number in spaced]
 
 
@@ -139,7 +143,9 @@ def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
             "seed, method, start, fix)"
         )
     if type(count) is not int or count < 1:
-        raise InputError(f"{where}: count must be the number of draws: give 64, for example")
+        raise InputError(
+            f"{where}: count must be a number of draws: give a positive number, such as 64"
+        )
     check_count(count, where)
     if type(seed) is not int or seed < 0:
         raise InputError(f"{where}: seed must be zero or a positive whole number: correct it")
@@ -173,12 +179,12 @@ def _drawn(value: Any, points: np.ndarray, where: str) -> Iterator[float]:
     low, high = map(float, ends)
     if kind == "normal":
         if not high > 0:
-            raise InputError(f"{where} must have a positive deviation: correct it")
+            raise InputError(f"{where} must have a positive standard deviation: correct it")
         from scipy.special import ndtri
 
         return iter((low + high * ndtri(points)).tolist())
     if not low < high or (kind == "log_uniform" and low <= 0):
-        raise InputError(f"{where} must go from a lower to a higher end, {DRAWS[kind or '']}")
+        raise InputError(f"{where} must state the lower end first, {DRAWS[kind or '']}: correct it")
     if kind == "log_uniform":
         return iter(np.exp(math.log(low) + points * math.log(high / low)).tolist())
     return iter((low + points * (high - low)).tolist())
@@ -206,7 +212,7 @@ def cases_of(data: Mapping[str, Any], source: str) -> list[Case]:
         twice = {name for case in one for name in case} & {name for case in other for name in case}
         if twice:
             raise InputError(
-                f"{source} has {min(twice)} in two of grid, list and sample: keep it in one"
+                f"{source} has {min(twice)} in two of grid, list and sample: keep it in only one"
             )
     check_count(len(listed) * len(drawn) * len(combined), source)
     return [{**row, **draw, **case} for row in listed for draw in drawn for case in combined]
@@ -281,8 +287,8 @@ class Plan:
             raise InputError(f"{source}: schema_version must be 1: correct it")
         if ("fit" in data) == ("data" in data):
             raise InputError(
-                f"{source} must have one of fit, a fit definition, and data, a list of runs: give "
-                "one"
+                f"{source} must have either fit (a fit definition) or data (a list of runs): give "
+                "one of them"
             )
         if "fit" in data:
             if not isinstance(data["fit"], str):
@@ -388,7 +394,7 @@ def _may_be_uncertain(path: Path, rename: tuple[tuple[str, str], ...]) -> bool:
 def _task(fit: FitTask, checksums: Any, sidecar: Any, uncertain: Any) -> Task:
     """A fit by the content of its files, which are then wherever they are."""
     if not fit.data:
-        raise InputError("the plan has no data: give runs in it, or in its fit definition")
+        raise InputError("the plan states no data: add runs to the plan or to its fit definition")
     definition = fit.definition.contents()
     settings = definition.pop("fit", {})
     for name in (*_FILES, "out"):

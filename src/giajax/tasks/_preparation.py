@@ -109,7 +109,7 @@ class Preparation:
         if self.setup.settings.optimiser is not None:
             raise InputError(
                 f"a fit by {self.setup.config['optimiser']} has no steps to record, and cannot be "
-                "resumed: leave out the journal, or the optimiser"
+                "resumed: omit the journal, or change the optimiser"
             )
         with locked(folder):
             journal = read_journal(folder) if resume or not force else None

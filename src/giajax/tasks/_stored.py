@@ -40,9 +40,9 @@ def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
         )
     if not record.get("task"):
         raise InputError(
-            f"{folder / 'result.json'} does not state how to fit it again, because an earlier "
+            f"{folder / 'result.json'} does not state how to repeat the fit, because an earlier "
             "version wrote it, it combines several fits, or it was fitted from Python without a "
-            "task: fit its data again, or use it as a warm start with --from"
+            "task: fit the data again, or use the result as a warm start with --from"
         )
     timed = record["status"] == "not_converged" and "budget_s" in record["config"]
     if record["status"] == "interrupted" or timed:
@@ -107,7 +107,7 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
     if not moved:
         return "the estimates are identical bit for bit, but quantities derived from them differ"
     by, path = max(moved)
-    return f"the numbers are not the same: {path} differs by {by:.1e} of its value"
+    return f"the numbers are not the same: the relative difference of {path} is {by:.1e}"
 
 
 def reached_by(result: "str | Path | FitResult") -> dict[str, Any]:
@@ -212,13 +212,15 @@ def _read_again(
                 f"'{record.name}' was made in memory and has no file: give the run itself in "
                 "Python, as in result.plot(run)"
                 if record.path is None
-                else f"{files} do not have the content of {record.path}, which was fitted: give "
+                else f"{files} do not have the content of the fitted file {record.path}: give "
                 "that file"
             )
         if not data and not Path(path).exists() and record.sha256 is not None:
             path = moved_to(path, record.sha256, folder) or path
         if not data and not Path(path).exists():
-            raise InputError(f"{path}, which was fitted, does not exist: give the file with --data")
+            raise InputError(
+                f"the fitted file {path} does not exist: give its new path with --data"
+            )
         known = {key: item for key, item in about.items() if key in run_keys(model=False)}
         of = about.get("model", result.model.kind)
         definition = Definition.parse({"model": of, **known}, str(path))
@@ -228,8 +230,8 @@ def _read_again(
         run = read[place]
         if run.sha256 != record.sha256:
             raise InputError(
-                f"{path} is not the file that was fitted: its content has changed, so run the fit "
-                "again or give the file that was"
+                f"the content of {path} has changed since the fit: run the fit again, or give the "
+                "original file"
             )
         if "channels" in about:
             run = observing(run, about["channels"])

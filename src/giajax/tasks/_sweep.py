@@ -103,7 +103,7 @@ def fitted(
     for part, files in inputs.items():
         for (_, *before), path in zip(files, paths[part], strict=True):
             if list(checksums_of([Path(path)]).values()) != before:
-                raise InputError(f"{path} has changed since the sweep began: sweep again")
+                raise InputError(f"{path} has changed since the sweep began: start the sweep again")
     task = FitTask(
         Definition.parse(definition, "the plan"),
         data=tuple(map(Path, paths["data"])),
@@ -154,16 +154,16 @@ def check_precision() -> None:
 
     if not jax.config.read("jax_enable_x64"):
         raise InputError(
-            "JAX computes in 32-bit, in which no sweep is kept: call "
+            "JAX computes in 32-bit, but a sweep needs 64-bit: call "
             'jax.config.update("jax_enable_x64", True) first'
         )
 
 
 TABLE = "sweep.parquet"
-"""Name of the table of a sweep in its folder."""
+"""File name of the table in the folder of a sweep."""
 
 FITS = "fits"
-"""Folder in it of the fits, a file each."""
+"""Subfolder of a sweep that contains one file for each fit."""
 
 
 def sweep(
@@ -228,5 +228,5 @@ def _check_none_is_lost(path: Path, keys: set[str]) -> None:
         before = set(pl.read_parquet(path, columns=["key"])["key"])
     if not before or not before <= keys:
         raise InputError(
-            f"{path} is the table of another plan: give another folder, or --force to write over it"
+            f"{path} is the table of another plan: give another folder, or --force to overwrite it"
         )

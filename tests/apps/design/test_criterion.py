@@ -112,7 +112,7 @@ def test_what_the_data_do_not_tell_is_not_determined():
 
 
 def test_what_makes_no_criterion_is_one_sentence():
-    with pytest.raises(InputError, match="no criterion 'E': use one of: c, A, D"):
+    with pytest.raises(InputError, match="'E' is not a criterion: use one of: c, A, D"):
         Criterion("E", (1.0,))
     with pytest.raises(InputError, match="no parameter to estimate is given"):
         Criterion("A", (0.0, 0.0))
@@ -133,7 +133,7 @@ def test_few_markers_are_the_best_of_all_choices():
         itertools.combinations(range(7), 3), key=lambda some: errors(each[list(some)].sum(axis=0))
     )
     assert chosen_markers(errors, each, 3) == best
-    with pytest.raises(InputError, match="8 markers are to be filmed out of 7"):
+    with pytest.raises(InputError, match="8 markers are requested: give a number from 1 to 7"):
         chosen_markers(errors, each, 8)
 
 
@@ -226,8 +226,8 @@ def test_a_search_that_is_stopped_has_the_best_so_far():
         ({"angle": 0.0}, "the largest angle is 0: give"),
         ({"angle": 1e300}, "deg: give at most 180 deg"),
         ({"rate": math.inf}, "the largest rate is inf: give"),
-        ({"joints": ()}, "no joint moves"),
-        ({"joints": (1, 1)}, "named twice"),
+        ({"joints": ()}, "no joint is to move"),
+        ({"joints": (1, 1)}, "given twice"),
         ({"duration": 0.25}, "not a whole number"),
         ({"duration": 1e9}, "rows: shorten"),
     ],

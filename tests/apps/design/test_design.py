@@ -226,7 +226,7 @@ def test_priors_are_information():
     [
         ({"priors": {"air.drag": {"value": 1.0, "deviation": 0.1}}}, "did you mean"),
         ({"priors": {"joints.damping": {"value": 1.0, "deviation": 0.1}}}, "and is not free"),
-        ({"ties": {DRAG: f"0.4 * {STIFFNESS}"}}, f"'{DRAG}' is tied to others: give the"),
+        ({"ties": {DRAG: f"0.4 * {STIFFNESS}"}}, f"'{DRAG}' is tied to other parameters: give the"),
     ],
 )
 def test_what_a_question_cannot_be(options, words):
@@ -237,7 +237,7 @@ def test_what_a_question_cannot_be(options, words):
 def test_weights_may_be_one():
     question = asked(wanted={DRAG: 1.0, STIFFNESS: 1.0})
     assert question.weights("c") == tuple(question.values)
-    with pytest.raises(InputError, match="criterion c needs one number"):
+    with pytest.raises(InputError, match="criterion c needs one parameter"):
         asked(wanted=[DRAG, STIFFNESS]).weights("c")
 
 
@@ -275,12 +275,15 @@ def test_a_free_first_state_is_a_nuisance():
         (["--parameter", DRAG, "--joints", "3"], "the arm has joints 1 to 2"),
         (["--parameter", DRAG, "--joints", "1;2"], "must be numbers"),
         (["--parameter", DRAG, "--max-angle", "0"], "the largest angle is 0"),
-        (["--parameter", DRAG, "--markers", "9"], "9 markers are to be filmed out of 2"),
+        (
+            ["--parameter", DRAG, "--markers", "9"],
+            "9 markers are requested: give a number from 1 to 2",
+        ),
         (["--parameter", DRAG, "--knots", "1"], "a number from 2 to"),
-        (["--parameter", DRAG, "--criterion", "E"], "no criterion 'E'"),
+        (["--parameter", DRAG, "--criterion", "E"], "'E' is not a criterion"),
         (
             ["--parameter", DRAG, "--parameter", STIFFNESS, "--criterion", "c"],
-            "criterion c needs one number",
+            "criterion c needs one parameter",
         ),
         (["--parameter", DRAG, "--noise", "position_m=0"], "positive"),
         (["--parameter", DRAG, "--relative-uncertainty", "-1"], "the uncertainty of"),
@@ -297,5 +300,5 @@ def test_one_sentence(tmp_path, capsys, options, words):
 
 def test_another_model_is_one_sentence():
     joint = giajax.build_model("joint", {"joint": {}}, {})
-    with pytest.raises(InputError, match="give that of an arm"):
+    with pytest.raises(InputError, match="give the model of an arm"):
         design_experiment(joint, [DRAG])

@@ -89,9 +89,12 @@ def test_the_page_drives(cockpit, browser, tmp_path):
         page.wait("document.getElementById('pad').innerText.startsWith('test pad')")
         page.evaluate("window.pad.axes = [0, -1, 0, 0]")
         eventually(lambda: np.rad2deg(operator.command[0]) > 1.0)
-        page.wait("document.getElementById('state').innerText == 'follows'")
+        page.wait("document.getElementById('state').innerText == 'the arm follows the commands'")
         page.evaluate("navigator.getGamepads = () => []")
-        page.wait("document.getElementById('state').innerText == 'holds: the pad is gone'")
+        page.wait(
+            "document.getElementById('state').innerText == 'the arm holds its position: the pad is "
+            "disconnected'"
+        )
         stands = operator.command
         time.sleep(0.3)
         assert np.array_equal(operator.command, stands)
@@ -105,7 +108,10 @@ def test_the_page_drives(cockpit, browser, tmp_path):
             "document.activeElement.dispatchEvent(new KeyboardEvent('keydown',"
             " {code: 'Space', bubbles: true, cancelable: true}))"
         )
-        page.wait("document.getElementById('state').innerText == 'holds: stopped by the operator'")
+        page.wait(
+            "document.getElementById('state').innerText == 'the arm holds its position: stopped by "
+            "the operator'"
+        )
         # A browser without pads, and without the function.
         page.evaluate("navigator.getGamepads = undefined")
         page.evaluate("[...document.querySelectorAll('#presets button')][0].click()")

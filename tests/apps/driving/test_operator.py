@@ -200,10 +200,13 @@ def test_the_usual_pad_bends_base_and_tip():
 @pytest.mark.parametrize(
     ("message", "said"),
     [
-        ({"type": "fly"}, "unknown kind 'fly'"),
+        ({"type": "fly"}, "unknown type 'fly'"),
         ({"type": "pad", "axes": [], "buttons": []}, "the pad has no axes"),
         ({"type": "pad", "axes": "x", "buttons": []}, "has no list of numbers 'axes'"),
-        ({"type": "joint", "joint": 9, "deg": 1}, "a slider is of joint 9, and the arm has 3"),
+        (
+            {"type": "joint", "joint": 9, "deg": 1},
+            "a slider refers to joint 9, but the arm has only 3 joints",
+        ),
         ({"type": "joint", "joint": 1, "deg": float("nan")}, "which is not a valid angle"),
         ({"type": "preset", "name": "up and away"}, "there is no preset 'up and away'"),
     ],
@@ -217,17 +220,21 @@ def test_messages_that_say_nothing(operator, message, said):
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
-        ("joints = [2]", "joints = [4]", "axis 0 is of joint 4, and the arm has 3: correct it"),
+        (
+            "joints = [2]",
+            "joints = [4]",
+            "axis 0 refers to joint 4, but the arm has only 3 joints: correct the number",
+        ),
         ("axes = [", "sticks = [", r"unknown key pad\.sticks"),
         ("dead_zone = 0.1", "dead_zone = 1.0", r"pad\.dead_zone = 1.0 must be a number from 0"),
-        ('preset = "up"', 'preset = "down"', "button 0 goes to 'down', which is not a preset"),
+        ('preset = "up"', 'preset = "down"', "button 0 selects 'down', which is not a preset"),
         # The one of the same button behind it does not hide it.
         (
             '{button = 0, preset = "up"}',
             '{button = 0, preset = "down"}, {button = 0, preset = "up"}',
-            "button 0 goes to 'down', which is not a preset",
+            "button 0 selects 'down', which is not a preset",
         ),
-        ('name = "straight"', 'name = "up"', "there are two presets 'up': rename one"),
+        ('name = "straight"', 'name = "up"', "two presets have the name 'up': rename one"),
         ("angles_deg = [20.0]", "angles_deg = [1.0, 2.0]", "has 2 angles for 1 joints"),
         ("[pad]", "[game]", r"\[pad\] must be a table of keys: write it as one"),
     ],
@@ -239,7 +246,9 @@ def test_files_that_say_what_cannot_be_done(tmp_path, before, after, said):
 
 
 def test_a_pad_that_turns_nothing(tmp_path):
-    with pytest.raises(InputError, match=r"no axis turns a joint: add \[\[pad\.axes\]\]"):
+    with pytest.raises(
+        InputError, match=r"no axis of the pad moves a joint: add \[\[pad\.axes\]\]"
+    ):
         mapping(tmp_path, "[pad]\n")
     with pytest.raises(InputError, match="does not exist: give a TOML file"):
         PadMapping.load(tmp_path / "none.toml", 3)
@@ -248,11 +257,11 @@ def test_a_pad_that_turns_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("time_s,button0\n0,0\n1,1\n", "is of a pad without axes"),
-        ("time_s,axis0,stick\n0,0,0\n1,1,0\n", "has a column 'stick'"),
-        ("time_s,axis0\n0,0\n1,\n", "has a cell in axis0 that is empty or infinite"),
-        ("time_s,axis0\n0,0\n0,1\n", "do not increase: sort its rows"),
-        ("time_s,axis0\n0,0\n1,inf\n", "has a cell in axis0 that is empty or infinite"),
+        ("time_s,button0\n0,0\n1,1\n", "has no column for a pad axis"),
+        ("time_s,axis0,stick\n0,0,0\n1,1,0\n", "has the unknown column 'stick'"),
+        ("time_s,axis0\n0,0\n1,\n", "has an empty or infinite cell in the column axis0"),
+        ("time_s,axis0\n0,0\n0,1\n", "do not increase: sort the rows by time"),
+        ("time_s,axis0\n0,0\n1,inf\n", "has an empty or infinite cell in the column axis0"),
         ("time_s,axis0\n0,0\n1,1_0\n", "has '1_0' in row 3, but must have a number"),
         ("time_s,axis0,axis0\n0,0,0\n1,1,0\n", "has the column 'axis0' twice"),
         ("time_s,axis0\n", "has a header but no rows"),

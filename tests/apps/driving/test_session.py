@@ -128,7 +128,7 @@ def test_what_joints_remember_is_left_out():
     replay(plain, table)
     assert_allclose(ends[1], plain.pose.angles, atol=1e-6)
     assert np.abs(ends[0] - ends[1]).max() > 1e-3
-    with pytest.raises(InputError, match="nothing can be left out"):
+    with pytest.raises(InputError, match="there is nothing to disable"):
         Session(ArmModel(takeichi_20m(2)), memory=False)
 
 
@@ -146,7 +146,7 @@ def test_compensated_commands_undo_a_joints_hysteresis():
         assert_allclose(commands[:, joint], inverse.history(wanted[:, joint])[0], atol=1e-12)
         assert_allclose(operator.history(commands[:, joint])[0], wanted[:, joint], atol=1e-10)
     pressure = Compensator(inverse, state, 0.0, (-1.0, 1.0), Channel.named("pressure"))
-    with pytest.raises(InputError, match="the joints of an arm by angles"):
+    with pytest.raises(InputError, match="the joints of an arm are driven by angles"):
         Compensation(pressure, 2)
 
 
@@ -165,17 +165,21 @@ def test_the_camera_at_the_tip_is_late(model):
 
 
 def test_drives_that_are_none(model):
-    with pytest.raises(InputError, match="the rate is 0 poses a second"):
+    with pytest.raises(InputError, match="the rate is 0 poses per second"):
         Session(model, rate=0.0)
-    with pytest.raises(InputError, match="1,000,000,000 steps in a pose: give from 1 to 1,000"):
+    with pytest.raises(
+        InputError, match="steps per pose is 1,000,000,000: give a number from 1 to 1,000"
+    ):
         Session(model, steps=10**9)
     session = Session(model)
-    with pytest.raises(InputError, match=r"is 1e\+09 s long, but may be 16666\.7 s long at 30 pos"):
+    with pytest.raises(
+        InputError, match=r"lasts 1e\+09 s, but may last at most 16666\.7 s at 30 pos"
+    ):
         replay(session, {"time_s": np.array([0.0, 1e9]), "axis0": np.zeros(2)})
     many = np.linspace(0.0, 1.0, 500_001)
-    with pytest.raises(InputError, match="there are 500,001 rows: give 500,000 at most"):
+    with pytest.raises(InputError, match="the drive has 500,001 rows: give at most 500,000"):
         replay(session, {"time_s": many, "axis0": many})
-    with pytest.raises(InputError, match="nothing was driven"):
+    with pytest.raises(InputError, match="no time was driven"):
         session.record.run(["tip_z"])
     session.tick(0.0)
     session.tick(1.0)
@@ -210,16 +214,18 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
     assert "drive-1.csv exists" in capsys.readouterr().err
     (tmp_path / "pad.csv").write_text("time_s,button0\n0,1\n")
     assert main(words) == 2
-    assert "is of a pad without axes" in capsys.readouterr().err
+    assert "has no column for a pad axis" in capsys.readouterr().err
     # Another spelling of a number would be read by no name, or make room for what is not there.
     for name in ("axis00", "axis256", "axis٣", "axis-1", "axis1_0", "button"):
         (tmp_path / "pad.csv").write_text(f"time_s,axis0,{name}\n0,0,0\n1,0,0\n")
-        with pytest.raises(InputError, match=f"has a column '{name}': name columns axis0"):
+        with pytest.raises(
+            InputError, match=f"has the unknown column '{name}': use names such as axis0"
+        ):
             read_pad("pad.csv")
     (tmp_path / "pad.csv").write_text("time_s,axis0\n0,0\n1e9,1\n")
     assert main(words) == 2
     error = capsys.readouterr().err
-    assert "is 1e+09 s long, but may be 16666.7 s" in error
+    assert "lasts 1e+09 s, but may last at most 16666.7 s" in error
     assert error.count("\n") == 1
 
 

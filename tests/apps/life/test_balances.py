@@ -158,9 +158,9 @@ def test_a_motion_balances_energy_and_momentum():
 
 
 def test_what_is_not_balanced_is_refused():
-    with pytest.raises(InputError, match="the energy of the air that moves with the links"):
+    with pytest.raises(InputError, match="the energy of the air moving with the links"):
         check_audited(giajax.takeichi_20m_full(2))
     stops = {"joints.stops.strength": [0.1], "joints.stops.yield_angle": [0.01]}
-    with pytest.raises(InputError, match="joints with Stops, whose states have no rate"):
+    with pytest.raises(InputError, match="joints with Stops, whose state variables have no rate"):
         check_audited(takeichi_20m(2, parameters=stops))
     check_audited(replace(takeichi_20m(2), {"links.mass": 0.05}))

@@ -18,7 +18,7 @@ NARAHA = Path(__file__).resolve().parents[3] / "missions" / "naraha.toml"
 def test_an_unrolling_of_another_arm_is_refused():
     mission = Mission.from_definition(Definition.load(NARAHA))
     other = Unrolling(filling=Filling(arm=takeichi_20m(20)))
-    with pytest.raises(InputError, match="the unrolling is of another arm than the mission"):
+    with pytest.raises(InputError, match="the unrolling and the mission use different arms"):
         live(mission, other)
 
 

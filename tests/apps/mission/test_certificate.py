@@ -86,15 +86,15 @@ def test_of_a_long_recording_the_end_counts():
         ({"commands": {"joint03_command": np.deg2rad(20)}}, r"joint03_command .* is 20\.0 deg"),
         (
             {"joint02_command": np.linspace(0, 0.2, 601)},
-            r"joint02_command .* moves by 11\.5 deg: give a recording in which the arm rests",
+            r"joint02_command .* moves by 11\.5 deg: give a recording of the arm at rest",
         ),
         ({"joint31_angle": np.zeros(601)}, "joint31_angle"),
-        ({"joint01_torque": np.full(601, 5.0)}, "driven by joint01_torque, and a mission by"),
-        ({"rate": 1.0}, "tip_x of 'resting' is recorded too seldom to separate noise"),
+        ({"joint01_torque": np.full(601, 5.0)}, "driven by joint01_torque, but a mission by"),
+        ({"rate": 1.0}, "tip_x of 'resting' is sampled too slowly to separate noise"),
         ({"imu03_accel_x": np.zeros(601)}, "simulate"),
         (
             {"tip_x": np.where(np.arange(601) % 33, np.nan, 0.1), "stated": {"position_m": 0.01}},
-            "tip_x of 'resting' has no two values 2 s apart: record it more often",
+            "tip_x of 'resting' has no two values that are 2 s apart: record the channel",
         ),
     ],
 )
@@ -179,7 +179,8 @@ def test_where_all_or_none_succeed_there_is_still_an_interval(reached):
 
 def test_few_missions_are_no_certificate():
     with pytest.raises(
-        InputError, match="12 of 12 missions could be followed at rest: a probability needs 20"
+        InputError,
+        match="only 12 of 12 missions could be simulated at rest, but a probability needs 20",
     ):
         chance_of(drawn(1, seed=5)[0], drawn(12, seed=1))
 
@@ -202,8 +203,8 @@ def test_the_command_says_the_chance_and_writes_what_is_behind_it(recording, mon
     given = [*words, "--speeds", "0.1,0.9", "--controller", "mpc", "--seed", "3"]
     assert main([*given, "--out", "chance"]) == 0
     said = capsys.readouterr().out
-    assert "of the 2 missions with the most similar rest, of 24, came in" in said
-    assert "chance to be inside within 40 s: " in said
+    assert "of the 2 missions with the most similar motion at rest (of 24) are successful" in said
+    assert "probability of success within 40 s: " in said
     facts = json.loads(Path("chance/certificate.json").read_text())
     assert facts["interval"][0] < facts["chance"] < facts["interval"][1]
     rows = pl.read_csv("chance/certificate.csv").to_dict(as_series=False)

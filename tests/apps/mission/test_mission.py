@@ -148,7 +148,7 @@ def test_the_air_has_its_speed():
         ({"camera": {}}, "no camera at the tip: give one"),
         ({"mission__camera": "other"}, "'other' is not a camera at the tip"),
         ({"mission__opening": "front"}, "'front' is not a wall with an opening"),
-        ({"arm__obstacles": []}, "no opening is around the arm"),
+        ({"arm__obstacles": []}, "the arm has no opening to enter"),
         ({"mission__limit_s": -1.0}, "mission.limit_s = -1.0 must be a positive number"),
         (
             {"mission__operator__approach": {"joints": [1, 2], "angles_deg": [3.0]}},
@@ -196,7 +196,7 @@ def test_reasons_are_those_of_the_rows():
         inside: np.ndarray
 
     none, some = np.zeros(5), np.array([0, 2, 4, 0, 0])
-    assert "simulation of its motion failed" in _reason(Seen(none, none), False, 1.0)
+    assert "simulation of the motion failed" in _reason(Seen(none, none), False, 1.0)
     assert "never came" in _reason(Seen(none, none), True, 1.0)
     assert "did not stay" in _reason(Seen(some, some), True, 0.1)
     assert "did not reach the opening" in _reason(Seen(some, none), True, 2.0)

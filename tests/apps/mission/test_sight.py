@@ -174,9 +174,13 @@ def test_a_camera_beside_the_tip_is_not_the_tip():
 @pytest.mark.parametrize(
     ("obstacles", "name", "sentence"),
     [
-        ((Box(),), None, "no opening is around the arm: add a wall"),
-        ((WALL, WallWithOpening(name="other")), None, "openings in wall, other: say which"),
-        ((WALL,), "door", "'door' is not a wall with an opening: there is wall"),
+        ((Box(),), None, "the arm has no opening to enter: add a wall"),
+        (
+            (WALL, WallWithOpening(name="other")),
+            None,
+            r"several walls have an opening \(wall, other\): name one",
+        ),
+        ((WALL,), "door", "'door' is not a wall with an opening: use one of: wall"),
     ],
 )
 def test_a_mission_without_its_opening_is_refused(obstacles, name, sentence):

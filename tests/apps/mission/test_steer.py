@@ -225,7 +225,7 @@ def test_an_estimate_that_is_no_number_stops_all_commands():
     [
         ({"controller": "pid"}, "the controller is 'pid': give one of operator, mpc"),
         ({"arm__links": 10, "mission__operator__approach": {"joints": [1], "angles_deg": [3.0]}},
-         r"the opening is 15\.9 m from the base, and the arm is 9\.9 m long"),
+         r"the opening is 15\.9 m from the base, but the arm is only 9\.9 m long"),
         ({"mission__steering": {"speed_m_per_s": 0.0}}, "speed_m_per_s = 0.0 must be a positive"),
         ({"mission__camera_stops_s": -1.0}, "camera_stops_s = -1.0"),
     ],

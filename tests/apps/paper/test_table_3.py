@@ -129,5 +129,5 @@ def test_no_table_is_made_of_a_fit_that_was_stopped(fits, faked):
 
 
 def test_a_folder_without_the_runs_is_refused(tmp_path):
-    with pytest.raises(InputError, match="does not hold the runs"):
+    with pytest.raises(InputError, match="does not contain the runs"):
         stand_in(tmp_path)

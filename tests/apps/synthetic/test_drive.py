@@ -90,10 +90,10 @@ def test_movements_that_cannot_be(moves, said):
     [
         (2.55, 10.0, "make it 2.6 s"),
         (0.01, 10.0, "make it 0.1 s"),
-        (0.0, 10.0, "has no samples"),
-        (1.0, -1.0, "has no samples"),
-        (np.nan, 1.0, "has no samples"),
-        (1.0, np.inf, "has no samples"),
+        (0.0, 10.0, "contains no samples"),
+        (1.0, -1.0, "contains no samples"),
+        (np.nan, 1.0, "contains no samples"),
+        (1.0, np.inf, "contains no samples"),
         (1e300, 1e300, "more than 1000000"),
     ],
 )

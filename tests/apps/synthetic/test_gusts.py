@@ -161,7 +161,7 @@ def test_gusts_come_later_along_the_mean_flow():
     first, second = (wind.values[f"link{link:02d}_wind_y"] for link in (1, 2))
     np.testing.assert_allclose(second[20:], first[:-20], atol=1e-3)
     assert np.abs(second - first).max() > 0.1
-    with pytest.raises(InputError, match=r"the places of gusts have the shape \(3,\)"):
+    with pytest.raises(InputError, match=r"the positions for the gusts have the shape \(3,\)"):
         gusts([0, 1, 0], intensity=0.1, length_scale=1, duration=1, places=[0, 0, 0])
     with pytest.raises(InputError, match="the decay of gusts is -1"):
         gusts([0, 1, 0], intensity=0.1, length_scale=1, duration=1, places=places, decay=-1)

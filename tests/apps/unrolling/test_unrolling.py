@@ -270,8 +270,11 @@ def test_a_roll_that_runs_off_leaves_gas_behind():
 @pytest.mark.parametrize(
     ("share", "sentence"),
     [
-        (-0.1, "a share is -0.1: give zero or a positive number"),
-        ([0.1, 0.2], r"the share has the shape \(2,\), but there are 20 bags: give one number"),
+        (-0.1, "a filled share is -0.1: give zero or a positive number"),
+        (
+            [0.1, 0.2],
+            r"the filled share has the shape \(2,\), but the arm has 20 bags: give one number",
+        ),
     ],
 )
 def test_a_share_that_cannot_be_is_refused(share, sentence):
@@ -361,13 +364,16 @@ def test_a_definition_goes_to_the_unrolling_and_back():
 BAD = {
     "smaller than its core": (
         {"roll__radius": 0.04},
-        "the roll has a radius of 40 mm and its core one of 50 mm: give a roll that is larger",
+        "the radius of the roll is 40 mm, and the radius of its core 50 mm: give a roll larger",
     ),
     "denser than its film": (
         {"film__thickness": 1e-3},
         "a layer of the roll is 1.19 mm thick, but two films are 2 mm: give a larger roll.radius",
     ),
-    "paid out": ({"roll__start": 20.0}, r"20 m are paid out .* the arm has 19.8 m: give less"),
+    "paid out": (
+        {"roll__start": 20.0},
+        r"20 m are paid out .* the arm is only 19.8 m long: reduce",
+    ),
     "no core": ({"roll__core_mass": 0.0}, "roll.core_mass = 0 kg is outside its bounds: choose"),
     "creep": ({"film__creep": 1.5}, "film.creep = 1.5 is outside its bounds: choose a value"),
     "no number": ({"film__peel": np.nan}, "film.peel = nan N is outside its bounds: choose"),
@@ -375,11 +381,13 @@ BAD = {
     "density": ({"gas__density": -1.0}, "gas.density = -1 kg/m.3 is outside its bounds: choose"),
     "no flow": (
         {"order": "by gas", "supply__flow": 0.0},
-        "gas is to unroll the arm, but supply.flow = 0 feeds none: give a positive number, or",
+        "gas is to unroll the arm, but with supply.flow = 0 no gas flows: give a positive number, "
+        "or",
     ),
     "no pressure": (
         {"order": "by gas", "kind": "regulator", "supply__pressure": 0.0},
-        "gas is to unroll the arm, but supply.pressure = 0 feeds none: give a positive number",
+        "gas is to unroll the arm, but with supply.pressure = 0 no gas flows: give a positive "
+        "number",
     ),
 }
 
@@ -411,7 +419,5 @@ def test_a_bottle_with_too_little_stops_on_the_way():
 
 def test_what_cannot_be_followed_is_said():
     """A roll that goes in jerks, a hundred of them a second."""
-    with pytest.raises(
-        InputError, match=r"of the unrolling fails beyond .* give a larger film.loss"
-    ):
+    with pytest.raises(InputError, match=r"of the unrolling failed at .* increase film.loss"):
         unroll(made("by gas", film__loss=0.5))

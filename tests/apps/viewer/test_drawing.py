@@ -84,7 +84,9 @@ def test_frames_are_samples_and_no_more_than_are_seen():
 
 
 def test_recorded_markers_have_the_samples_of_their_scene():
-    with pytest.raises(InputError, match="the recorded marker 'tip' has 2 samples and the scene 3"):
+    with pytest.raises(
+        InputError, match="the recorded marker 'tip' has 2 samples, but the scene has 3"
+    ):
         Show("a", moving(), {"tip": np.zeros((2, 3))})
     with pytest.raises(InputError, match="give one origin for each vector"):
         Arrows("air", "N", np.zeros((3, 2, 3)), np.zeros((3, 1, 3)))
@@ -98,9 +100,9 @@ def test_words_say_what_is_seen():
         "**run** (blue)  ",
         "time 1.00 s  ",
         "tip at 2.000, 0.000, 2.000 m  ",
-        "recorded markers off by 5.0 mm (RMS)  ",
+        "RMS distance to the recorded markers 5.0 mm  ",
         "largest drag on a link 2 N  ",
-        "pressures up to 2.00 bar  ",
+        "highest muscle pressure 2.00 bar  ",
         "*a note*",
     ]
     nothing = {"tip": np.full((3, 3), np.nan)}

@@ -262,7 +262,7 @@ def test_a_port_in_use_is_one_sentence(page):
     with pytest.raises(InputError, match=r"cannot listen at 203\.0\.113\.7"):
         bound("203.0.113.7", 0)
     with pytest.raises(
-        InputError, match="the host is '', which is not an address: give one, such as"
+        InputError, match="the host is '', which is not an address: give an address such as"
     ):
         bound("", 0)
     with pytest.raises(InputError, match="cannot listen at aaaa"):

@@ -175,7 +175,7 @@ def test_a_wrong_law_is_refused_before_anything_is_fitted(law, said):
 
 
 def test_a_law_without_its_method_is_refused_by_its_name():
-    with pytest.raises(InputError, match="Unfinished has no force: write it"):
+    with pytest.raises(InputError, match="Unfinished lacks force: implement it"):
 
         @giajax.register
         class Unfinished(AbstractDragLaw):

@@ -561,7 +561,7 @@ def test_a_law_that_is_driven_says_so():
 
 
 def test_a_law_without_its_method_is_refused_by_its_name():
-    with pytest.raises(InputError, match="Unfinished has no energy: write it"):
+    with pytest.raises(InputError, match="Unfinished lacks energy: implement it"):
 
         @giajax.register
         class Unfinished(AbstractJointLaw):

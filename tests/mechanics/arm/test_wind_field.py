@@ -289,7 +289,7 @@ def test_a_wind_is_tried_where_the_arm_is():
 
 
 def test_a_wind_without_its_method_is_refused_by_its_name():
-    with pytest.raises(InputError, match="Unfinished has no __call__: write it"):
+    with pytest.raises(InputError, match="Unfinished lacks __call__: implement it"):
 
         @giajax.register
         class Unfinished(AbstractWind):

@@ -40,9 +40,7 @@ _ALL = 3000  # up to so many choices all are looked at
 def check_count(count: int, bodies: int) -> None:
     """Refuse a number of markers that cannot be chosen."""
     if not 1 <= count <= bodies:
-        raise InputError(
-            f"{count} markers are to be filmed out of {bodies}: give a number from 1 to {bodies}"
-        )
+        raise InputError(f"{count} markers are requested: give a number from 1 to {bodies}")
 
 
 def chosen_markers(
@@ -102,7 +100,9 @@ class RobustError:
     def __post_init__(self) -> None:
         check_count(self.count, 1 + max(self.experiment.bodies))
         if self.over not in _OVER:
-            raise InputError(f"there is no robust '{self.over}': use one of: {', '.join(_OVER)}")
+            raise InputError(
+                f"'{self.over}' is not a valid value of robust: use one of: {', '.join(_OVER)}"
+            )
 
     def __call__(self, numbers: Numbers) -> float:
         """The logarithm; NaN where a draw cannot be simulated."""
@@ -246,7 +246,7 @@ class Design:
             return f"{self.ratio:.3f} times the error of the base step"
         both = {"the design": self.designed, "the base step": self.base_step}
         without = [name for name, one in both.items() if one.criterion is None]
-        return f"{' and '.join(without)} cannot tell {', '.join(self.wanted)}"
+        return f"{' and '.join(without)} cannot determine {', '.join(self.wanted)}"
 
     def __repr__(self) -> str:
         return f"<Design: {self.criterion}-optimal for {', '.join(self.wanted)}, {self.summary()}>"
@@ -383,7 +383,7 @@ def design_experiment(
     search.follow(starts_of(series, starts), follow, iterations)
     if search.best is None:
         raise InputError(
-            "no command that was tried can be simulated with every draw of what is uncertain: give "
+            "no candidate command can be simulated with every draw of the uncertain values: give "
             "a smaller uncertainty (--relative-uncertainty), or other values of the parameters"
         )
     objective.markers = search.markers

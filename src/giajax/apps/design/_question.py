@@ -51,9 +51,7 @@ class Criterion:
 
     def __post_init__(self) -> None:
         if self.kind not in _KINDS:
-            raise InputError(
-                f"there is no criterion '{self.kind}': use one of: {', '.join(_KINDS)}"
-            )
+            raise InputError(f"'{self.kind}' is not a criterion: use one of: {', '.join(_KINDS)}")
         if not any(self.weights):
             raise InputError("no parameter to estimate is given: give the path of at least one")
 
@@ -191,13 +189,17 @@ def uncertain(
     if isinstance(stated, Mapping):
         for path in stated:
             if path not in values:
-                raise InputError(f"'{path}' is uncertain and not free: free it, or leave it out")
+                raise InputError(
+                    f"'{path}' is uncertain but not free: free it, or remove its uncertainty"
+                )
         relative = dict(stated)
     else:
         relative = dict.fromkeys(values, _UNCERTAIN if stated is None else stated)
     for path, size in relative.items():
         if not 0 <= size < math.inf:
-            raise InputError(f"the uncertainty of '{path}' is {size:g}: give 0 or a positive one")
+            raise InputError(
+                f"the uncertainty of '{path}' is {size:g}: give 0 or a positive number"
+            )
     return {path: size * abs(values[path]) for path, size in relative.items()}
 
 
@@ -243,8 +245,8 @@ class Question:
         """Weights of all that is free, as `Criterion` takes them."""
         if criterion == "c" and len(self.wanted) > 1 and not self.weighted:
             raise InputError(
-                f"criterion c needs one number, but {len(self.wanted)} are given: give one "
-                "parameter, the weight of each, or the criterion A or D"
+                f"criterion c needs one parameter, but {len(self.wanted)} are given: give one "
+                "parameter, give a weight for each, or use criterion A or D"
             )
         own = (0.0,) * (len(self.known) - len(self.parameters))
         parts = zip(self.experiment.paths, self.experiment.scales, strict=True)
@@ -294,7 +296,9 @@ def question_of(
     interest = {p.path: weight for path, weight in weights.items() for p in elements(model, path)}
     for path in (path for tie in order for path in tie.elements):
         if path in interest or path in asked:
-            raise InputError(f"'{path}' is tied to others: give the parameters that determine it")
+            raise InputError(
+                f"'{path}' is tied to other parameters: give the parameters that determine it"
+            )
         parts.pop(path, None)
     before = checked_priors(settings.get("priors", {}) if priors is None else priors)
     values = np.asarray([float(part.value(model)) for part in parts.values()])
@@ -305,7 +309,9 @@ def question_of(
     run = _planned(limits, base_step(limits, 3).drive(), names, stated, "design", noise)
     for name in names:
         if name not in run.observations:
-            raise InputError(f"'{name}' is commanded, not recorded: give another channel")
+            raise InputError(
+                f"'{name}' is a command and not a recorded channel: give another channel"
+            )
     inputs = model.prepare(run)
     own = tuple((path, get(inputs, path).size) for path in model.free_inputs(run))
     beside = [
@@ -320,9 +326,7 @@ def question_of(
         if odd is not None:
             # Refused as no parameter, where it is none.
             elements(model, odd)
-            raise InputError(
-                f"'{odd}' has a prior and is not free: free it, or leave the prior out"
-            )
+            raise InputError(f"'{odd}' has a prior but is not free: free it, or remove the prior")
     counted = [*zip(parts, values, scales, strict=True), *((*one, 1.0) for one in beside)]
     rows = [
         0.0 if (prior := prior_of(before, path)) is None else prior_row(prior, value)[1] * scale
@@ -367,7 +371,7 @@ def joint_count(source: AbstractModel | FitResult) -> int:
 def _arm_of(source: AbstractModel | FitResult) -> ArmModel:
     given = source.model if isinstance(source, FitResult) else source
     if given.kind != ARM.name:
-        raise InputError(f"the model is that of a {given.kind}: give that of an arm")
+        raise InputError(f"the model describes a {given.kind}: give the model of an arm")
     return cast("ArmModel", given)
 
 

@@ -16,7 +16,7 @@ from ...runtime.records import plain_data
 from ...studies import body_of
 from ._experiment import Design, Expected
 
-DESIGN_HEADINGS = ("parameter", "value", "design", "base step", "ratio", "fit before", "unit")
+DESIGN_HEADINGS = ("parameter", "value", "design", "base step", "ratio", "previous fit", "unit")
 _STYLES = (("design", BLUE, "-"), ("base step", VERMILLION, "--"))
 _MOST_NAMES = 12
 
@@ -118,7 +118,7 @@ def _errors(axes: Axes, found: Design) -> None:
     places = np.arange(len(paths))[::-1]
     missing: dict[int, list[str]] = {}
     shown = [
-        ("fit before", GREY, "D", found.before),
+        ("previous fit", GREY, "D", found.before),
         ("base step", VERMILLION, "s", found.base_step.errors),
         ("design", BLUE, "o", found.designed.errors),
     ]
@@ -142,7 +142,7 @@ def _errors(axes: Axes, found: Design) -> None:
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(LogFormatter())
     axes.xaxis.set_minor_formatter(LogFormatter())
-    plain(axes, "Expected standard errors", "standard error over the value (%)")
+    plain(axes, "Expected standard errors", "standard error relative to the value (%)")
     axes.set_yticks(places, [path.replace(".", ".\n", 1) for path in paths])
     axes.set_ylim(-0.5, len(paths) - 0.5)
     axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0, -0.15), ncols=3)

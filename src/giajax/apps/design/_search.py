@@ -57,7 +57,7 @@ class Limits:
             (self.angle, "the largest angle"),
             (self.rate, "the largest rate"),
             (self.duration, "the duration"),
-            (self.sampling, "the number of rows per second"),
+            (self.sampling, "the sampling rate"),
         ):
             if not 0 < value < math.inf:
                 raise InputError(f"{what} is {value:g}: give a positive number")
@@ -67,16 +67,18 @@ class Limits:
                 f"{ANGLE_DEG:g} deg"
             )
         if not self.joints:
-            raise InputError("no joint moves: give the number of at least one")
+            raise InputError("no joint is to move: give the number of at least one joint")
         if len(set(self.joints)) < len(self.joints):
-            raise InputError("a joint is named twice: give each number once")
+            raise InputError("the same joint is given twice: give each joint number once")
         rows = self.duration * self.sampling
         if rows > _MOST_ROWS:
-            raise InputError(f"the experiment has {rows:g} rows: shorten it or sample less often")
+            raise InputError(
+                f"the experiment has {rows:g} rows: shorten it, or reduce the sampling rate"
+            )
         if self.rows < 2 or abs(rows - self.rows) > 1e-6 * rows:
             raise InputError(
-                f"{self.duration:g} s at {self.sampling:g} rows per second is not a whole number "
-                "of at least 2 rows: change one of them"
+                f"{self.duration:g} s at {self.sampling:g} rows per second does not give a whole "
+                "number of at least 2 rows: change the duration or the sampling rate"
             )
 
     @property
@@ -89,7 +91,8 @@ class Limits:
         for joint in self.joints:
             if not 1 <= joint <= count:
                 raise InputError(
-                    f"joint {joint} is to move, but the arm has joints 1 to {count}: correct it"
+                    f"joint {joint} is to move, but the arm has only joints 1 to {count}: correct "
+                    "the number"
                 )
 
 
@@ -122,8 +125,8 @@ class CommandSeries:
         """Series of so many knots after the first one, as evenly spaced as rows allow."""
         if not 2 <= knots <= limits.rows:
             raise InputError(
-                f"the command has {knots} knots, and the experiment {limits.rows} intervals: give "
-                f"a number from 2 to {limits.rows}"
+                f"the command has {knots} knots, but the experiment has {limits.rows} intervals: "
+                f"give a number from 2 to {limits.rows}"
             )
         rows = np.round(np.arange(knots + 1) * limits.rows / knots)
         return cls(limits, rows / limits.sampling)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from websockets.sync.server import ServerConnection
 
 LATENCY = 0.2
-"""Of a picture on its way to the operator, s, unless stated."""
+"""Default latency of the picture that the operator sees, s."""
 
 
 class TipCamera:
@@ -39,7 +39,7 @@ class TipCamera:
 
     def __init__(self, model: ArmModel, latency: float = LATENCY) -> None:
         if not 0 <= latency <= 60:
-            raise InputError(f"the latency is {latency:g} s: give one from 0 to 60")
+            raise InputError(f"the latency is {latency:g} s: give a latency from 0 to 60 s")
         # Where the arm has none: one that looks ahead from its end, 90 deg wide.
         usual = Pinhole(
             position=jnp.zeros(3),
@@ -88,7 +88,8 @@ _AT_ONCE = 2
 
 _LONGEST_MESSAGE = 1 << 16  # longer than anything that the page says
 TAKEN_OVER = "another page has taken over"
-ENDED = "the drive has ended and is being saved: its command says where"
+UNMOVED = "the drive has ended: no joint was moved, and nothing is saved"
+ENDED = "the drive has ended and is being saved: the terminal shows the location of the files"
 
 
 class Cockpit:
@@ -122,6 +123,7 @@ class Cockpit:
         self._pose: Pose = session.pose
         self._view: View = camera.see(session.time, self._pose.angles)
         self._operator: ServerConnection | None = None
+        self._telling: threading.Thread | None = None
         self._stage = LiveStage(self._scene(self._pose))
         self._place = PrivateSocket()
         self._server = unix_serve(
@@ -161,6 +163,8 @@ class Cockpit:
         self._ended.set()
         with self._fresh:
             self._fresh.notify_all()
+        if self._telling is not None and self._telling.is_alive():
+            self._telling.join(timeout=1)  # the page learns how it ended
         self._gate.close()
         self._server.shutdown()
         self._place.close()
@@ -199,6 +203,8 @@ class Cockpit:
             if message.get("type") == "end":
                 self.finished = True
                 self._ended.set()
+                with self._fresh:
+                    self._fresh.notify_all()
                 return
             try:
                 self.session.receive(message, came)
@@ -243,7 +249,7 @@ class Cockpit:
             # A tab that was loaded again, or a second one: the latest drives. It does not wait for
             # the other, whose machine may be gone.
             threading.Thread(target=_dismiss, args=(before,), daemon=True).start()
-        told = threading.Thread(target=self._tell, args=(connection,), daemon=True)
+        told = self._telling = threading.Thread(target=self._tell, args=(connection,), daemon=True)
         with suppress(ConnectionClosed, OSError):
             connection.send(json.dumps(self._facts()))
             told.start()
@@ -257,12 +263,14 @@ class Cockpit:
         try:
             message = json.loads(text, parse_int=_whole)
         except (ValueError, RecursionError) as error:
-            self._answers.append((connection, f"a message of the page is not JSON: {error}"))
+            self._answers.append(
+                (connection, f"a message from the page is not valid JSON: {error}")
+            )
             return
         if isinstance(message, dict):
             self._inbox.append((connection, message, time.monotonic()))
         else:
-            self._answers.append((connection, "a message of the page is not a table"))
+            self._answers.append((connection, "a message from the page is not a JSON object"))
 
     def _tell(self, connection: "ServerConnection") -> None:
         from websockets.exceptions import ConnectionClosed
@@ -282,7 +290,8 @@ class Cockpit:
                         connection.send(json.dumps({"type": "error", "text": answer}))
                 self._ended.wait(1 / _TOLD)
             if self._ended.is_set():
-                text = self.error or (ENDED if self.finished else "")
+                ended = UNMOVED if self.session.record.is_still else ENDED
+                text = self.error or (ended if self.finished else "")
                 connection.send(json.dumps({"type": "ended", "text": text}))
 
     def _facts(self) -> dict[str, Any]:

@@ -94,7 +94,7 @@ class PadMapping:
         """
         path = Path(path)
         try:
-            text = read_text(path, TEXT_BYTES, "TOML", "a TOML file with a [pad]")
+            text = read_text(path, TEXT_BYTES, "TOML", "a TOML file with a [pad] table")
             section = PadFile(**parse_toml(text, path)).pad
         except ValidationError as error:
             raise complaint(PadFile, error, str(path)) from None
@@ -109,15 +109,17 @@ class PadMapping:
             places = _places(entry.joints, joints, f"axis {entry.axis}", source)
             row[places] += np.deg2rad(entry.rate_deg_per_s)
         if not axes:
-            raise InputError(f"{source}: no axis turns a joint: add [[pad.axes]]")
+            raise InputError(f"{source}: no axis of the pad moves a joint: add [[pad.axes]]")
         presets: dict[str, np.ndarray] = {}
         for preset in section.presets or []:
             if preset.name in presets:
-                raise InputError(f"{source}: there are two presets '{preset.name}': rename one")
+                raise InputError(
+                    f"{source}: two presets have the name '{preset.name}': rename one of them"
+                )
             if len(preset.angles_deg) != len(preset.joints):
                 raise InputError(
                     f"{source}: the preset '{preset.name}' has {len(preset.angles_deg)} angles for "
-                    f"{len(preset.joints)} joints: give as many"
+                    f"{len(preset.joints)} joints: give one angle for each joint"
                 )
             others = np.nan if preset.others_deg is None else preset.others_deg
             row = np.full(joints, np.deg2rad(others))
@@ -129,7 +131,7 @@ class PadMapping:
         for button, name in goes:
             if name not in presets:
                 raise InputError(
-                    f"{source}: button {button} goes to '{name}', which is not a preset: add it to "
+                    f"{source}: button {button} selects '{name}', which is not a preset: add it to "
                     "[[pad.presets]]"
                 )
         return cls(
@@ -166,7 +168,8 @@ def _places(numbers: list[int], joints: int, who: str, source: str) -> list[int]
     for number in numbers:
         if number > joints:
             raise InputError(
-                f"{source}: {who} is of joint {number}, and the arm has {joints}: correct it"
+                f"{source}: {who} refers to joint {number}, but the arm has only {joints} joints: "
+                "correct the number"
             )
     return [number - 1 for number in numbers]
 
@@ -222,7 +225,7 @@ class Operator:
         elif kind == "stop":
             self._stop(STOPPED)
         elif kind != "alive":
-            raise InputError(f"a message of the page has the unknown kind {kind!r}")
+            raise InputError(f"a message from the page has the unknown type {kind!r}")
         self._heard = now
 
     def advance(self, now: float, elapsed: float) -> Float[np.ndarray, " joint"]:
@@ -248,12 +251,14 @@ class Operator:
     def _pad(self, axes: Sequence[float], buttons: Sequence[float]) -> None:
         """What the pad is like now; a pad that has just come is not moved yet."""
         if not axes:
-            raise InputError("the pad has no axes: connect one with sticks")
+            raise InputError("the pad has no axes: connect a pad with sticks")
         held = frozenset(i for i, value in enumerate(buttons) if value > _PRESSED)
         fresh, self._pressed = held - self._pressed, held
         self._pad_here = True
         if self.mapping.dead_men and not held & self.mapping.dead_men:
-            if np.any(self._wanted) or np.any(np.isfinite(self._target)):
+            moving = np.any(self._wanted) or np.any(np.isfinite(self._target))
+            tried = self.mapping.rates(dict(enumerate(axes)), self.joints)
+            if moving or (self.stopped == NOT_YET and np.any(tried)):
                 self._stop(LET_GO)
             return
         if fresh & self.mapping.stops:
@@ -272,14 +277,16 @@ class Operator:
     def _slider(self, message: Mapping[str, Any]) -> None:
         joint, angle = message.get("joint"), message.get("deg")
         if not (isinstance(joint, int) and 1 <= joint <= self.joints):
-            raise InputError(f"a slider is of joint {joint!r}, and the arm has {self.joints}")
+            raise InputError(
+                f"a slider refers to joint {joint!r}, but the arm has only {self.joints} joints"
+            )
         if not (isinstance(angle, int | float) and np.isfinite(angle)):
-            raise InputError(f"a slider is at {angle!r} deg, which is not a valid angle")
+            raise InputError(f"a slider is set to {angle!r} deg, which is not a valid angle")
         self._aim(joint - 1, np.deg2rad(angle))
 
     def _go(self, name: str) -> None:
         if name not in self.mapping.presets:
-            raise InputError(f"there is no preset '{name}'")
+            raise InputError(f"the preset '{name}' does not exist")
         for place, angle in enumerate(self.mapping.presets[name]):
             if np.isfinite(angle):
                 self._aim(place, angle)
@@ -293,12 +300,12 @@ class Operator:
         self._wanted = np.zeros(self.joints)
         self._target[:] = np.nan
         # The first reason is the cause.
-        if self.stopped is None:
+        if self.stopped in (None, NOT_YET):
             self.stopped = why
 
 
 def _numbers(message: Mapping[str, Any], name: str) -> list[float]:
     values = message.get(name)
     if not isinstance(values, list) or not all(isinstance(v, int | float) for v in values):
-        raise InputError(f"a message of the pad has no list of numbers '{name}'")
+        raise InputError(f"a message from the pad has no list of numbers '{name}'")
     return [float(value) for value in values]

@@ -59,8 +59,9 @@ class Compensation:
         channels = [compensator.input_channel, compensator.output_channel]
         if any(channel is not None and channel.quantity != "angle" for channel in channels):
             raise InputError(
-                f"the compensated input is {compensator.input_channel.column}, and the "
-                "joints of an arm by angles: give a fit from commanded to measured angles"
+                f"the input of the compensation is {compensator.input_channel.column}, but the "
+                "joints of an arm are driven by angles: give a fit from commanded to measured "
+                "angles"
             )
         self._compensator = compensator
         self._state = jax.tree.map(
@@ -159,7 +160,7 @@ class Record:
             InputError: too short a drive, one in which no joint was moved, or an unknown channel.
         """
         if len(self) < 2:
-            raise InputError("no time was driven: there is no run to save")
+            raise InputError("the drive has no duration: there is no run to save")
         if self.is_still:
             raise InputError("no joint was moved: there is no run to save")
         values = command_columns(self.commands)
@@ -237,8 +238,8 @@ class Unfinished:
         except OSError as error:
             if not self._failed:
                 self.complain(
-                    f"giajax: {self.path} cannot be written ({error.strerror}): a kill would lose "
-                    "the drive until it can be written"
+                    f"giajax: {self.path} cannot be written ({error.strerror}): the drive would be "
+                    "lost if the process were killed now"
                 )
             self._failed = True
             return
@@ -259,7 +260,7 @@ def _seen(model: ArmModel, motion: Trajectory, channels: tuple[str, ...]) -> Cha
 
 
 RATE = 30.0
-"""Poses a second."""
+"""Poses per second."""
 
 _BEHIND = 1.0  # of simulated time that is made up for at once; what is beyond it is lost, and said
 _WIND = ("wind_x", "wind_y", "wind_z")
@@ -295,11 +296,15 @@ class Session:
         memory: bool = True,
     ) -> None:
         if not 1 <= rate <= 1000:
-            raise InputError(f"the rate is {rate:g} poses a second: give one from 1 to 1000")
+            raise InputError(f"the rate is {rate:g} poses per second: give a rate from 1 to 1000")
         if not 1 <= steps <= STEPS:
-            raise InputError(f"there are {steps:,} steps in a pose: give from 1 to {STEPS:,}")
+            raise InputError(
+                f"the number of steps per pose is {steps:,}: give a number from 1 to {STEPS:,}"
+            )
         if gusts is not None and set(gusts.values) != set(_WIND):
-            raise InputError("gusts of a drive are one wind for the whole arm: give x, y and z")
+            raise InputError(
+                "the gusts of a drive are the same for the whole arm: give only x, y and z"
+            )
         arm = model.arm
         if not memory:
             hysteresis = arm.joints.hysteresis
@@ -307,7 +312,8 @@ class Session:
             left_out = {f"joints.{name}.strength": 0.0 for name, rows in strengths.items() if rows}
             if not left_out:
                 raise InputError(
-                    "this arm has neither joints.memory nor joints.stops: nothing can be left out"
+                    "this arm has neither joints.memory nor joints.stops: there is nothing to "
+                    "disable"
                 )
             arm = replace(arm, left_out)
         self.model = model
@@ -400,8 +406,8 @@ class Session:
         state = np.asarray(self.moment.state[:2])
         if not np.all(np.isfinite(state)):
             raise InputError(
-                f"the arm became infinite or NaN at {self.time:.2f} s: check its parameters, or "
-                "take more steps"
+                f"the state of the arm became infinite or NaN at {self.time:.2f} s: check its "
+                "parameters, or use more steps"
             )
         self.record.add(self.time, np.asarray(self.moment.command), state, self._wind)
 
@@ -417,22 +423,24 @@ def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:
     It is read as a run is, by the same limits.
 
     Raises:
-        InputError: the file does not exist, or it is no such a table.
+        InputError: the file does not exist, or it is not such a table.
     """
     path = Path(path)
     columns = read_numbers(path)
     if "time_s" not in columns or not any(name.startswith("axis") for name in columns):
-        raise InputError(f"{path} is of a pad without axes: give the columns time_s and axis0")
+        raise InputError(f"{path} has no column for a pad axis: give the columns time_s and axis0")
     odd = [name for name in columns if name != "time_s" and _place(name) is None]
     if odd:
-        raise InputError(f"{path} has a column '{odd[0]}': name columns axis0 or button0")
+        raise InputError(
+            f"{path} has the unknown column '{odd[0]}': use names such as axis0 or button0"
+        )
     for name, column in columns.items():
         if not np.all(np.isfinite(column)):
             raise InputError(
-                f"{path} has a cell in {name} that is empty or infinite: give it a number"
+                f"{path} has an empty or infinite cell in the column {name}: give a finite number"
             )
     if np.any(np.diff(columns["time_s"]) <= 0):
-        raise InputError(f"the times of {path} do not increase: sort its rows")
+        raise InputError(f"the times of {path} do not increase: sort the rows by time")
     return columns
 
 
@@ -440,8 +448,8 @@ def check_length(seconds: float, interval: float) -> None:
     """Refuse a drive (s) that would fill the memory with a pose in each interval (s)."""
     if not seconds <= POSES * interval:
         raise InputError(
-            f"the drive is {seconds:g} s long, but may be {POSES * interval:g} s long at "
-            f"{1 / interval:g} poses a second: shorten it, or take fewer poses"
+            f"the drive lasts {seconds:g} s, but may last at most {POSES * interval:g} s at "
+            f"{1 / interval:g} poses per second: shorten it, or reduce the rate"
         )
 
 
@@ -466,7 +474,7 @@ def replay(
     end = float(times[-1]) if until is None else until
     check_length(end, session.interval)
     if len(times) > POSES:
-        raise InputError(f"there are {len(times):,} rows: give {POSES:,} at most")
+        raise InputError(f"the drive has {len(times):,} rows: give at most {POSES:,}")
     rows, heard = 0, -np.inf
     while session.time + 0.5 * session.interval < end:
         now = session.time

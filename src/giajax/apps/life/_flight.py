@@ -88,14 +88,14 @@ def check_audited(arm: Arm) -> None:
     """
     if arm.air.added_mass_coefficient is not None:
         raise InputError(
-            "the arm has air.added_mass_coefficient: in gusts the energy of the air that moves "
-            "with the links is not balanced: leave it out"
+            "the arm has air.added_mass_coefficient: in gusts the energy of the air moving "
+            "with the links cannot be balanced: remove the coefficient"
         )
     for law in arm.further_laws.laws:
         if law.rows and type(law).rate is AbstractJointLaw.rate:
             raise InputError(
-                f"the arm has joints with {type(law).__name__}, whose states have no rate, so that "
-                "the energy of its motion is not balanced: use joints.memory"
+                f"the arm has joints with {type(law).__name__}, whose state variables have no "
+                "rate, so that the energy of the motion cannot be balanced: use joints.memory"
             )
 
 

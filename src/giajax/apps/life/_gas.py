@@ -27,7 +27,7 @@ _CLOSE = 1e-9  # of the time when something is reached
 _ALIKE = 0.01  # of the largest pressure
 
 LEFT_OPEN = 0.01
-"""Part of the arm that stays open in the roll, with its gas."""
+"""Smallest share of the volume of a link that stays open and keeps gas in the roll."""
 
 
 class GasWorks(NamedTuple):

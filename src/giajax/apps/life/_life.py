@@ -23,7 +23,7 @@ from ._flight import Audit, audit, check_audited
 from ._gas import GasCourse, GasState, Handling, as_one_bag, gas_at, gas_course
 
 RAISING = 60.0
-"""How long raising and lowering the arm take, s: assumed, and slow."""
+"""Duration of raising and of lowering the arm, s; assumed, and chosen to be slow."""
 
 _TIMES = 101
 _TOLERANCE = 1e-7  # of steps of the gas, relative to what fills a bag
@@ -199,8 +199,8 @@ def live(
     made = Unrolling(filling=Filling(arm=arm)) if unrolling is None else unrolling
     if not bool(eqx.tree_equal(made.filling.arm, arm)):
         raise InputError(
-            "the unrolling is of another arm than the mission: give it a filling of the mission's "
-            "arm, mission.model.arm"
+            "the unrolling and the mission use different arms: give the unrolling a filling of the "
+            "mission's arm, mission.model.arm"
         )
     check_audited(arm)
     say("unrolling and filling")
@@ -209,7 +209,8 @@ def live(
     if filled is None or not filled.finished:
         what = "unrolled" if filled is None else "full"
         raise InputError(
-            f"the arm is not {what} after {LIMIT / 60:g} min: give a stronger supply, or hand"
+            f"the arm is not {what} after {LIMIT / 60:g} min: increase the supply or the hand's "
+            "force"
         )
     pull = muscle_pull(arm)
     filling = made.filling
@@ -221,8 +222,8 @@ def live(
     courses["feed"] = _gas("feed", made, courses["fill"].end, feeds=1, force=pull)
     if not bool(courses["feed"].reached):
         raise InputError(
-            f"the supply never brings all links to the {pull:.1f} N pull of one muscle: give a "
-            "stronger supply"
+            f"the supply never inflates all links enough to bear the {pull:.1f} N pull of one "
+            "muscle: give a stronger supply"
         )
     courses["raise"] = _gas("raise", made, courses["feed"].end, settles=1, duration=RAISING)
     settled = courses["raise"]
@@ -275,9 +276,8 @@ def _gas(phase: str, unrolling: Unrolling, begin: GasState, **what: float) -> Ga
     found: GasCourse = gas_course(unrolling, handling, begin, tolerance, _TIMES)
     if not bool(found.succeeded):
         raise InputError(
-            f"the simulation of the gas fails in the phase '{phase}': give narrower holes, or a "
-            "larger "
-            "skin_slack"
+            f"the simulation of the gas failed in the phase '{phase}': make the holes narrower, or "
+            "skin_slack larger"
         )
     return found
 

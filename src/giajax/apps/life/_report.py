@@ -136,7 +136,7 @@ def _gas_rows(life: Life) -> dict[str, _Numbers]:
 
 def life_figure(life: Life) -> Figure:
     """Gas, pressures and lift over the phases, energies of each, and what the mission did."""
-    title = f"Life of {life.mission.model.arm.count} links: {life.duration / _MINUTE:.1f} min"
+    title = f"Life cycle of {life.mission.model.arm.count} links: {life.duration / _MINUTE:.1f} min"
     figure = new_figure(10.0, 7.0, title)
     rows = _gas_rows(life)
     minutes = rows["time"] / _MINUTE
@@ -148,9 +148,11 @@ def life_figure(life: Life) -> Figure:
     axes.plot(minutes, rows["most"], color=VERMILLION, linewidth=1.2, label="highest")
     axes.plot(minutes, rows["least"], color=BLUE, linewidth=1.2, label="lowest")
     area = np.pi / 4 * float(np.max(life.mission.model.arm.links.diameter)) ** 2
-    axes.axhline(life.pull / area, color=INK, linewidth=0.8, linestyle="--", label="holds a muscle")
+    axes.axhline(
+        life.pull / area, color=INK, linewidth=0.8, linestyle="--", label="needed for one muscle"
+    )
     axes.legend(fontsize=8, frameon=False)
-    plain(axes, "Pressure in the links", "time (min)", "Pa above the room")
+    plain(axes, "Pressure in the links", "time (min)", "gauge pressure (Pa)")
     _mark(axes, life)
     axes = figure.add_subplot(2, 2, 3)
     _energies(axes, life)
@@ -176,8 +178,8 @@ def _energies(axes: Axes, life: Life) -> None:
     """What came in, was lost and was stored in each phase."""
     places = np.arange(len(life.phases))
     rows = {
-        "came in": ([each.energy.gained for each in life.phases], BLUE),
-        "lost or given": ([each.energy.lost for each in life.phases], VERMILLION),
+        "gained": ([each.energy.gained for each in life.phases], BLUE),
+        "lost or delivered": ([each.energy.lost for each in life.phases], VERMILLION),
         "stored": ([abs(each.energy.stored) for each in life.phases], GREEN),
     }
     for offset, (name, (heights, colour)) in zip((-0.27, 0, 0.27), rows.items(), strict=True):
@@ -185,7 +187,7 @@ def _energies(axes: Axes, life: Life) -> None:
     axes.set_yscale("log")
     axes.set_xticks(places, [each.name for each in life.phases], rotation=45, ha="right")
     axes.legend(fontsize=7, frameon=False)
-    plain(axes, "Energy of each phase", "", "J")
+    plain(axes, "Energies in each phase", "", "J")
     axes.tick_params(which="both", labelsize=7)
 
 
@@ -197,7 +199,7 @@ def _works(axes: Axes, life: Life) -> None:
             axes.plot(life.outcome.times, row, color=next(colours), linewidth=1.2, label=name)
     axes.axhline(0, color=GREY, linewidth=0.8)
     axes.legend(fontsize=7, frameon=False)
-    plain(axes, "Work on the motion in the mission", "time (s)", "J")
+    plain(axes, "Work done on the arm during the mission", "time (s)", "J")
 
 
 _FRAMES = 40  # of a phase in which the gas alone changes

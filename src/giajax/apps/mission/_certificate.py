@@ -38,7 +38,7 @@ _SLOPE = 2.5
 _SMALLEST = 0.01  # deviation of a feature, a logarithm: below it is a constant
 _NEIGHBOURS = 0.2  # s between two rows, so that what differs is noise and not motion
 FEWEST_CASES = 20
-"""Missions that a certificate takes at least."""
+"""Smallest number of missions for a certificate."""
 
 _NEAR = 0.1  # of all missions, those that are shown beside the recording
 _UNLIKE = 0.001  # level of the test for a recording that is unlike the drawn rests
@@ -105,24 +105,24 @@ class Resting:
         _shown_by(model, np.zeros((2, model.arm.count)), tuple(run.observations))
         if not run.commands:
             raise InputError(
-                f"'{run.name}' has no commands: add those of the resting arm, such as a column "
-                "joint01_command_deg of zeros"
+                f"'{run.name}' has no commands: add the commands of the resting arm, such as a "
+                "column joint01_command_deg of zeros"
             )
         for name, row in run.commands.items():
             if Channel.named(name).kind != "joint_command":
                 raise InputError(
-                    f"'{run.name}' is driven by {name}, and a mission by commanded angles: give "
-                    "those"
+                    f"'{run.name}' is driven by {name}, but a mission by commanded angles: give a "
+                    "run with commanded angles"
                 )
             if np.ptp(row) > _MOVES:
                 raise InputError(
                     f"{name} of '{run.name}' moves by {np.rad2deg(np.ptp(row)):.1f} deg: give a "
-                    "recording in which the arm rests"
+                    "recording of the arm at rest"
                 )
             if np.max(np.abs(row)) > _MOVES:
                 raise InputError(
                     f"{name} of '{run.name}' is {np.rad2deg(row[0]):.1f} deg, but a mission starts "
-                    "with the straight arm: record it at rest with all commands 0"
+                    "with a straight arm: record the arm at rest with all commands at 0"
                 )
         assert run.times is not None
         times = run.times - run.times[-1]
@@ -149,16 +149,16 @@ class Resting:
             deviation = _noise(times[there], row[there]) if stated is None else stated
             if deviation is None:
                 raise InputError(
-                    f"{name} of '{run.name}' is recorded too seldom to separate noise and motion: "
-                    "state its noise in [noise] of its sidecar"
+                    f"{name} of '{run.name}' is sampled too slowly to separate noise from motion: "
+                    "state the noise of the channel in [noise] of the sidecar"
                 )
             noise[column] = deviation / np.sqrt(np.mean(many[many > 0]))
         found = cls(names, bins, noise)
         seldom = np.isnan(found.shown()).any(axis=0)
         if seldom.any():
             raise InputError(
-                f"{names[int(np.argmax(seldom))]} of '{run.name}' has no two values {_LATER:g} s "
-                "apart: record it more often"
+                f"{names[int(np.argmax(seldom))]} of '{run.name}' has no two values that are "
+                f"{_LATER:g} s apart: record the channel at a higher sampling rate"
             )
         return found
 
@@ -267,7 +267,7 @@ def fly_rested(
         drawn = waiting.in_wind(air).case(seed)
         outcome = drawn.fly(seed, drawn=waiting)
         if outcome.reached is not None and outcome.reached <= rest:
-            raise InputError("the tip is inside while the arm rests: give another opening")
+            raise InputError("the tip is already inside while the arm rests: give another opening")
         shown = resting.like(drawn, outcome, random).shown()
         if outcome.reached is not None:
             outcome = dataclasses.replace(outcome, reached=outcome.reached - rest)
@@ -328,8 +328,8 @@ def certificate(
     sound = np.all(np.isfinite(features), axis=1)
     if np.sum(sound) < FEWEST_CASES:
         raise InputError(
-            f"{np.sum(sound)} of {len(rested)} missions could be followed at rest: a probability "
-            f"needs {FEWEST_CASES}: raise --cases"
+            f"only {np.sum(sound)} of {len(rested)} missions could be simulated at rest, but a "
+            f"probability needs {FEWEST_CASES}: increase --cases"
         )
     features = features[sound]
     cases = tuple(each.case for each, used in zip(rested, sound, strict=True) if used)

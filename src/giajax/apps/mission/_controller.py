@@ -20,7 +20,7 @@ def number(default: float) -> Any:
 
 
 METRES = 2.0
-"""A turn of the camera by a radian counts as much as so many metres of the tip."""
+"""Weight of a rotation of the camera: one radian counts as this displacement of the tip, m."""
 
 _AHEAD = 3.0  # m behind an opening: a place that does not pass by while the tip goes in
 
@@ -84,12 +84,12 @@ def opening_of(arm: Arm, name: str | None = None) -> Opening:
     walls = {each.name: each for each in obstacles if isinstance(each, WallWithOpening)}
     if not walls:
         raise InputError(
-            'no opening is around the arm: add a wall, as [[arm.obstacles]] with shape = "wall"'
+            'the arm has no opening to enter: add a wall, as [[arm.obstacles]] with shape = "wall"'
         )
     if name is None and len(walls) > 1:
-        raise InputError(f"there are openings in {', '.join(walls)}: say which")
+        raise InputError(f"several walls have an opening ({', '.join(walls)}): name one of them")
     if name is not None and name not in walls:
-        raise InputError(f"'{name}' is not a wall with an opening: there is {', '.join(walls)}")
+        raise InputError(f"'{name}' is not a wall with an opening: use one of: {', '.join(walls)}")
     wall = next(iter(walls.values())) if name is None else walls[name]
     turn = wall.turn()
     frame = jnp.stack([rotate(turn, axis) for axis in jnp.eye(3, dtype=turn.dtype)], axis=1)
@@ -166,8 +166,8 @@ class AbstractController(eqx.Module):
             InputError: it cannot.
         """
         raise InputError(
-            f"{type(self).__name__} cannot hold a position: give its class a method "
-            "keeping_station, or use the controller operator or mpc"
+            f"{type(self).__name__} cannot hold a position: add a method "
+            "keeping_station to this class, or use the controller operator or mpc"
         )
 
 

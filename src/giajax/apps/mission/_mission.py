@@ -295,7 +295,7 @@ def _from_rest(rows: Any, first: np.ndarray | float = 0.0) -> np.ndarray:
 def _reason(rows: Rows, sound: bool, nearest: float) -> str:
     """Why a mission failed, in a few words that many share."""
     if not sound:
-        return "the simulation of its motion failed"
+        return "the simulation of the motion failed"
     if not np.any(rows.corners >= 2):
         return "the opening never came into view"
     if np.any(rows.inside > 0):
@@ -349,7 +349,7 @@ CONTROLLERS: dict[str, Callable[[MissionSection, ArmModel], AbstractController]]
     "operator": lambda section, model: Operator.from_section(section, model.arm.count),
     "mpc": Steering.from_section,
 }
-"""Who may drive, by name."""
+"""Names of the controllers that can drive the arm."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -406,18 +406,20 @@ class Mission:
         if name is None and len(lenses) != 1:
             many = f"{len(lenses)} cameras" if lenses else "no camera"
             raise InputError(
-                f'there is {many} at the tip: give one [camera.NAME] with mount = "tip", or say '
-                "which by mission.camera"
+                f'the tip carries {many}: give one [camera.NAME] with mount = "tip", or select '
+                "one with mission.camera"
             )
         if name is not None and name not in lenses:
-            raise InputError(f"mission.camera = '{name}' is not a camera at the tip: correct it")
+            raise InputError(
+                f"mission.camera = '{name}' is not a camera at the tip: correct the name"
+            )
         camera = next(iter(lenses.values())) if name is None else lenses[name]
         far = float(np.linalg.norm(np.asarray(opening.centre)))
         reach = float(np.sum(np.asarray(model.arm.links.length)))
         if far > reach:
             raise InputError(
-                f"the opening is {far:.1f} m from the base, and the arm is {reach:.1f} m long: "
-                "give a longer arm, or a nearer opening"
+                f"the opening is {far:.1f} m from the base, but the arm is only {reach:.1f} m "
+                "long: give a longer arm, or a nearer opening"
             )
         return cls(
             model, section, opening, camera, CONTROLLERS[controller](section, model), controller
@@ -444,7 +446,8 @@ class Mission:
         unknown = next((path for path in spread if path not in values), None)
         if unknown is not None:
             raise InputError(
-                f"mission.spread has '{unknown}', which is not a parameter of this arm"
+                f"mission.spread contains '{unknown}', which is not a parameter of this arm: "
+                "remove it"
             )
         random = np.random.default_rng([seed, 1])
         drawn = {

@@ -243,8 +243,8 @@ class Operator(AbstractController):
         for joint, angle in zip(stated.approach.joints, stated.approach.angles_deg, strict=True):
             if joint > joints:
                 raise InputError(
-                    f"mission.operator.approach bends joint {joint}, and the arm has {joints}: "
-                    "correct it"
+                    f"mission.operator.approach bends joint {joint}, but the arm has only {joints} "
+                    "joints: correct the number"
                 )
             approach[joint - 1] = np.deg2rad(angle)
         return cls(

@@ -78,13 +78,15 @@ def mission_json(mission: Mission, outcome: Outcome) -> str:
 
 def mission_figure(mission: Mission, outcome: Outcome) -> Figure:
     """Shapes of the arm from the side and from above, and the way of the tip to the opening."""
-    how = f"not reached: {outcome.reason}"
+    how = f"opening not reached: {outcome.reason}"
     if not mission.enters and np.isfinite(outcome.swing):
-        how = f"before the opening within {outcome.swing:.2f} m"
+        how = f"tip held before the opening within {outcome.swing:.2f} m"
     elif outcome.reached is not None:
-        how = f"inside after {outcome.reached:.0f} s"
+        how = f"tip inside after {outcome.reached:.0f} s"
     wind = mission.section.wind.speed_m_per_s
-    figure = new_figure(11.0, 7.0, f"Mission in air of {wind:g} m/s by {mission.driver}: {how}")
+    figure = new_figure(
+        11.0, 7.0, f"Mission, wind {wind:g} m/s, controller {mission.driver}: {how}"
+    )
     grid = figure.add_gridspec(4, 2)
     _shapes(figure.add_subplot(grid[:3, 0]), mission, outcome, "xz")
     _shapes(figure.add_subplot(grid[3, 0]), mission, outcome, "xy")
@@ -131,13 +133,13 @@ def _way(panel: Axes, mission: Mission, outcome: Outcome) -> None:
     opening = mission.opening
     for points, style, name in (
         (outcome.tip, "-", ""),
-        (outcome.believed, ":", ", as the operator believes"),
+        (outcome.believed, ":", ", estimated by the operator"),
     ):
         local = np.asarray(opening.local(jnp.asarray(points)))
         beside = np.linalg.norm(local[:, 1:], axis=1)
         for of, values, mark, colour in (
-            ("its plane", local[:, 0], "o", BLUE),
-            ("its axis", beside, "s", VERMILLION),
+            ("the plane of the opening", local[:, 0], "o", BLUE),
+            ("the axis of the opening", beside, "s", VERMILLION),
         ):
             marks: Any = {} if name else {"marker": mark, "markevery": 0.1, "markersize": 4}
             panel.plot(
@@ -149,7 +151,7 @@ def _way(panel: Axes, mission: Mission, outcome: Outcome) -> None:
         panel.axvspan(outcome.times[first], outcome.times[end - 1], color=LIGHT, linewidth=0)
     panel.axhline(-mission.section.beyond_m, color=GREY, linewidth=0.8, linestyle="--")
     panel.set_ylim(-2, min(16, max(4.0, float(np.nanmax(np.abs(outcome.tip))))))
-    title = "The tip and the opening (grey: the camera sees it)"
+    title = "Tip and opening (grey: the camera sees the opening)"
     plain(panel, title, "time (s)", "distance of the tip (m)")
     panel.legend(fontsize=8, frameon=False)
 
@@ -224,8 +226,8 @@ def cases_figure(mission: Mission, cases: Cases) -> Figure:
     span = 100 * np.maximum([inside - low, high - inside], 0)
     share.errorbar(winds, 100 * inside, span, fmt="o-", color=BLUE, capsize=3)
     share.set_ylim(0, 105)
-    across = "speed of the air (m/s)"
-    plain(share, f"Inside within {limit / 60:g} min (95 % interval)", across, "%")
+    across = "wind speed (m/s)"
+    plain(share, f"Tip inside within {limit / 60:g} min (95 % interval)", across, "%")
     spread = 0.2 * (np.min(np.diff(winds)) if len(winds) > 1 else 0.1)
     random = np.random.default_rng(0)
     for tally in tallies:
@@ -235,7 +237,7 @@ def cases_figure(mission: Mission, cases: Cases) -> Figure:
             times.plot(tally.wind, tally.quartiles[1], "_", color=VERMILLION, markersize=18)
     times.axhline(limit, color=GREY, linewidth=0.8, linestyle="--")
     times.set_ylim(0, 1.05 * limit)
-    plain(times, "Time until it was inside (median in red)", across, "s")
+    plain(times, "Time until the tip was inside (median in red)", across, "s")
     return figure
 
 
@@ -279,7 +281,7 @@ def certificate_json(mission: Mission, found: Certificate, **origin: Any) -> str
 def certificate_figure(mission: Mission, found: Certificate) -> Figure:
     """Missions by the speed of the air and by the chance that their own rest shows."""
     minutes = mission.section.limit_s / 60
-    title = f"Chance to be inside within {minutes:g} min by {mission.driver}"
+    title = f"Probability that the tip is inside within {minutes:g} min, {mission.driver}"
     figure = new_figure(7.5, 4.2, f"{title}: {100 * found.chance:.0f} %")
     panel = figure.subplots()
     winds = np.array([case.wind for case in found.cases])
@@ -290,15 +292,17 @@ def certificate_figure(mission: Mission, found: Certificate) -> Figure:
             label=f"{label} ({np.sum(these)})", linewidth=0,
         )  # fmt: skip
     low, high = found.interval
-    panel.axvspan(100 * low, 100 * high, color=LIGHT, linewidth=0, label="of the recording (95 %)")
+    panel.axvspan(
+        100 * low, 100 * high, color=LIGHT, linewidth=0, label="for the recorded arm (95 %)"
+    )
     panel.axvline(100 * found.chance, color=GREY, linewidth=1.2)
     panel.set_xlim(-2, 102)
     panel.set_ylim(0, 1.05 * max(winds.max(), 0.05))
     plain(
         panel,
-        f"{len(winds)} drawn missions",
-        "chance by the rest of each (%)",
-        "speed of the air (m/s)",
+        f"{len(winds)} simulated missions",
+        "probability estimated from each arm at rest (%)",
+        "wind speed (m/s)",
     )
     panel.legend(fontsize=8, frameon=False, loc="upper right")
     return figure

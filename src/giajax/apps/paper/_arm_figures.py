@@ -69,17 +69,17 @@ UNKNOWNS = {
     "stiffness": Unknown("arm: pitch stiffness, N m/rad", 1.0, 10.0),
     "damping": Unknown("arm: damping, N m s/rad", 0.005, 0.5),
     "drag": Unknown("arm: C_D", 0.5, 2.0),
-    "strength": Unknown("arm: memory's strength, N m", 0.003, 0.3),
-    "yield": Unknown("arm: its yield angle, rad", 0.001, 0.03),
-    "reach": Unknown("arm: its base angle over the model's", 0.5, 1.5),
+    "strength": Unknown("arm: strength of the joints' memory, N m", 0.003, 0.3),
+    "yield": Unknown("arm: yield angle of the joints' memory, rad", 0.001, 0.03),
+    "reach": Unknown("arm: base angle relative to the model's", 0.5, 1.5),
     "angle": Unknown("base joint: angle, deg", 10.0, 60.0, _DEGREE),
-    "lasting": Unknown("base joint: bends within, s", 0.25, 6.0),
-    "back": Unknown("base joint: turns back at, s", 8.0, 22.0),
+    "lasting": Unknown("base joint: duration of the bend, s", 0.25, 6.0),
+    "back": Unknown("base joint: time of the return, s", 8.0, 22.0),
     "model_stiffness": Unknown("model: pitch stiffness, N m/rad", 1.0, 10.0),
     "model_damping": Unknown("model: damping, N m s/rad", 0.005, 0.5),
     "model_drag": Unknown("model: C_D", 0.5, 2.0),
 }
-"""What is looked for, each within a range of its logarithm."""
+"""The unknowns of the search, each with the range within which its logarithm is varied."""
 
 
 class Compared(NamedTuple):
@@ -244,13 +244,15 @@ class Reading:
 _APART = ("reach", *(f"model_{name}" for name in _SHARED))
 READINGS = {
     "memory": Reading(
-        "only its joints remember",
+        "only the joint friction differs",
         tuple(name for name in UNKNOWNS if name not in _APART),
         shared=_SHARED,
     ),
-    "own": Reading("all of it may differ", tuple(UNKNOWNS)),
+    "own": Reading("all parameters may differ", tuple(UNKNOWNS)),
 }
-"""The paper's own explanation of its errors, and one that allows for any."""
+"""Two explanations of the paper's errors: the paper's own, and one in which any parameter may
+differ.
+"""
 
 
 SHOWN_LINKS = {6: GREEN, 12: BLUE, 20: VERMILLION}
@@ -261,9 +263,9 @@ AT = (5, 10, 25)  # when the table looks, s
 TOLERANCE = 1e-8  # of the integrator: each curve is then right to 1e-7 m
 _FIG05_SOURCES = Sources(
     printed="the model (20 rigid links, springs, eq. (1) at their centres), length, diameter and "
-    "mass (table 2), the three links, solid with and dotted without air.",
+    "mass (table 2), the three links; solid lines with air, dotted lines without.",
     assumed=f"stiffness 3 (pitch) and 30 N m/rad (yaw), damping 0.05 N m s/rad, C_D = 1.2, a step "
-    f"of {STEP_DEG:g}{DEGREE} at {STEP_AT:g} s: the text gives none of them.",
+    f"of {STEP_DEG:g}{DEGREE} at {STEP_AT:g} s: the text gives none of these values.",
     reconstructed="nothing.",
 )
 
@@ -323,19 +325,20 @@ STYLES = {
 }
 
 STAND_IN = (
-    "the experiment, whose recordings are not public: rigid bodies by MuJoCo, with drag along the "
-    "links (C_D 1.1), added mass 1, 0.084 kg a link trimmed 0.15 m below the axis, 2.6 and 30 "
-    "N m/rad, damping 0.04 N m s/rad, Dahl friction of 0.06 N m at 60 N m/rad in each joint, 0.05 "
-    "m/s across with gusts to 0.2 m/s, and a camera at 10 Hz with noise of 20 mm (data/paper)."
+    "the experiment, whose recordings are not public: rigid bodies simulated by MuJoCo, with drag "
+    "along the links (C_D 1.1), added mass coefficient 1, a trim mass of 0.084 kg per link 0.15 m "
+    "below the axis, stiffness 2.6 and 30 N m/rad, damping 0.04 N m s/rad, Dahl friction of 0.06 N "
+    "m at 60 N m/rad in each joint, 0.05 m/s of crosswind with gusts of up to 0.2 m/s, and a "
+    "camera at 10 Hz with 20 mm of noise (data/paper)."
 )
 
 _FIG19_SOURCES = Sources(
     printed="the model (eq. (1) at the centres of the links, 0.047 kg each), the base joint that "
-    "bends, the four links, the window that table 3 compares (grey).",
-    assumed="a bend to 30 deg within 1 s from 0.5 s on, and back from 12 s on; stiffness, damping "
-    "and C_D are fitted. giajax's own model has the stand-in's structure, trim and added mass, and "
-    "its friction is fitted, too. The run is the first of twenty; without air links leave the "
-    "panels.",
+    "bends, the four links, and the time window that table 3 compares (grey).",
+    assumed="the base joint bends to 30 deg within 1 s from 0.5 s on, and back from 12 s on; "
+    "stiffness, damping and C_D are fitted. giajax's own model has the stand-in's structure, trim "
+    "and added mass, and its friction is fitted, too. The run is the first of twenty. Without air, "
+    "links swing beyond the range of the panels.",
     reconstructed=STAND_IN,
 )
 
@@ -393,7 +396,7 @@ def _draw(panel: Axes, run: Run, channel: str, curves: dict[str, np.ndarray]) ->
 
 
 PRINTED = {"with_air": (77, 94, 51, 62, 71), "without_air": (78, 32, -99, -190, -45)}
-"""The paper's table, %: links 2, 6, 12, 20, and their average."""
+"""The values of the paper's table 3, %: links 2, 6, 12 and 20, and their average."""
 
 MARKS = {
     "with_air": (BLUE, "o"),
@@ -406,10 +409,10 @@ MARKS = {
 _TABLE3_SOURCES = Sources(
     printed="the definition of the concordance (mean of 1 - |Xm - Xe| / |Xe| every 0.1 s from 10 "
     "to 25 s), the links, and the numbers of the first two rows.",
-    assumed="that the displacement is z, and that the paper's model was fitted to the run that it "
-    "is compared with; a sample where Xe is exactly 0 has no term. giajax's own model has the "
+    assumed="that the displacement is z, and that the paper's model was fitted to the same run "
+    "with which it is compared; samples with Xe exactly 0 are omitted. giajax's own model has the "
     "stand-in's structure, trim and added mass; its C_D, stiffness, damping and friction are "
-    "fitted to one more run, in twelve iterations at most.",
+    "fitted to another run, in at most twelve iterations.",
     reconstructed=STAND_IN,
 )
 
@@ -472,7 +475,7 @@ def _table3_drawn(rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -
 
     A concordance, which may be far below 0, is 100 % less a mean error, which may not.
     """
-    title = f"Table 3: {len(rates['own'])} runs of a stand-in that MuJoCo simulated"
+    title = f"Table 3: {len(rates['own'])} runs of a stand-in simulated by MuJoCo"
     figure = new_figure(11, 5.4, title)
     left, right = figure.subplots(1, 2, sharey=True)
     _dots(left, {name: 1 - each for name, each in rates.items()})
@@ -487,7 +490,7 @@ def _table3_drawn(rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -
     left.set_yscale("log")
     left.yaxis.set_major_formatter("{x:g}")
     plain(
-        left, "The paper's measure: a concordance is 100 % less this", up="mean relative error (%)"
+        left, "The paper's measure (concordance = 100 % - this error)", up="mean relative error (%)"
     )
     plain(right, "RMS error", up="RMS error over RMS displacement (%)")
     right.tick_params(labelleft=True)

@@ -84,7 +84,7 @@ def compared(times: Float[np.ndarray, " sample"]) -> np.ndarray:
     if off.max() > 1e-6:
         raise InputError(
             f"the recording has no sample at {every[off.argmax()]:g} s, but table 3 compares "
-            "every 0.1 s from 10 to 25 s: sample it so"
+            "values every 0.1 s from 10 to 25 s: sample the recording at these times"
         )
     return rows
 
@@ -116,7 +116,7 @@ LINKS = (2, 6, 12, 20)
 """The links of fig. 19 and table 3."""
 
 HEIGHTS = tuple(f"link{link:02d}_z" for link in LINKS)
-"""What the paper's camera sees of them, and what is fitted."""
+"""The channels that the paper's camera records, to which models are fitted."""
 
 PAPERS = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.damping")
 _NO_AIR = {"air.drag_coefficient": 0.0}
@@ -167,20 +167,22 @@ def _own() -> ArmModel:
 CONTENDERS: dict[str, Contender] = {
     "with_air": Contender("the paper's model, fitted", _papers, PAPERS),
     "without_air": Contender(
-        "the same with C_D = 0", _papers, PAPERS, afterwards=_NO_AIR, as_fitted="with_air"
+        "the paper's model with C_D = 0", _papers, PAPERS, afterwards=_NO_AIR, as_fitted="with_air"
     ),
     "refitted": Contender(
-        "without air, fitted again", lambda: replace(_papers(), _NO_AIR), PAPERS[1:]
+        "the model without air, fitted again",
+        lambda: replace(_papers(), _NO_AIR),
+        PAPERS[1:],
     ),
     "own": Contender(
-        "giajax's own, fitted to another run",
+        "giajax's model, fitted to another run",
         _own,
         (*PAPERS, *_MEMORY),
         on_another=True,
         iterations=_ENOUGH_WITH_MEMORY,
     ),
 }
-"""By the name that files have."""
+"""The models by the names that files use."""
 
 
 def stand_in(folder: Path) -> list[Run]:
@@ -192,7 +194,7 @@ def stand_in(folder: Path) -> list[Run]:
     runs = [observing(read_run(path), HEIGHTS) for path in sorted(folder.glob("stand_in_*.csv"))]
     if len(runs) < 2:
         raise InputError(
-            f"{folder} does not hold the runs stand_in_01.csv and on: install giajax again"
+            f"{folder} does not contain the runs stand_in_01.csv and following: reinstall giajax"
         )
     return runs
 
@@ -218,7 +220,7 @@ class Fits:
         # With air and without it, the paper's model is fitted once.
         key = (contender.as_fitted or name, used.name)
         if key not in self._results:
-            self._say(f"{contender.label.partition(',')[0]}: fitting it to {used.name}")
+            self._say(f"fitting {contender.label.partition(',')[0]} to {used.name}")
             # The noise is white, as the sidecars state it: what else is left is no noise.
             result = fit(
                 contender.start(),

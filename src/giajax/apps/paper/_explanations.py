@@ -34,15 +34,15 @@ EXPLANATIONS = {
     "a neck that gives way alone": (False, True),
     "both": (True, True),
 }
-"""By their names, whether the pair may be bistable and whether there is a neck."""
+"""Explanations by name: whether the pair may be bistable, and whether the link has a neck."""
 
 SAID = {"largest": (30.0, 2.5), "mean": (11.0, 0.5), "at 13": (30.0, 1.0)}
-"""What the text says, deg: largest and mean error, and what a command of 13 deg gives, with the
-uncertainty of "about", of the last digit, and of a command of a whole degree.
+"""Values in the paper's text, deg: largest and mean error, and the angle at a command of 13 deg,
+each with its uncertainty (from "about", from the last digit, and from commands in whole degrees).
 """
 
 PRESSURES = (1000.0, 1200.0, 1500.0)
-"""Of the links, Pa: at these an experiment distinguishes explanations."""
+"""Pressures of the links at which an experiment distinguishes the explanations, Pa."""
 
 
 class Searched(NamedTuple):
@@ -220,7 +220,7 @@ def explanations_figure(found: Mapping[str, tuple[Explained, Explained]], loop: 
     plan = paper_history()
     aimed = plan.target[plan.measured]
     figure = new_figure(
-        11, 4.2, "One link: what is nearest to the text of fig. 12; the stand-in in grey"
+        11, 4.2, "One link: explanations fitted to the text of fig. 12; the simulated joint in grey"
     )
     panels = figure.subplots(1, len(found), sharey=True)
     for panel, (name, (nearest, _)) in zip(panels, found.items(), strict=True):

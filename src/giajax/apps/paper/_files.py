@@ -29,7 +29,7 @@ FIGURES: dict[str, Callable[[Say, Callable[[], Fits]], Reproduced]] = {
     "table3": lambda say, fits: table3(fits()),
     "table3_inverse": lambda say, fits: table3_inverse(say),
 }
-"""What is made again, by the name of its files; the last one by `table3 --inverse` alone."""
+"""Figures and tables by the names of their files; only `table3 --inverse` makes the last one."""
 
 
 def reproduce(
@@ -44,7 +44,7 @@ def reproduce(
     """
     for name in names:
         if name not in FIGURES:
-            raise InputError(f"there is no figure '{name}': use one of {', '.join(FIGURES)}")
+            raise InputError(f"the figure '{name}' does not exist: use one of {', '.join(FIGURES)}")
     say = progress or (lambda text: None)
     # Fig. 19 and table 3 show the same fits, and most figures need none.
     fits = functools.cache(lambda: Fits(stand_in(recordings), say))
@@ -68,7 +68,7 @@ _HEAD = """\
 <!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>The paper's figures by giajax</title>
+<title>The paper's figures, reproduced by giajax</title>
 """
 
 _PNG_END = b"IEND\xaeB`\x82"  # how every whole PNG file ends
@@ -138,11 +138,12 @@ def reproduction_page(records: Iterable[Mapping[str, Any]]) -> bytes:
         )
     page = (
         f"{_HEAD}<style>\n{_STYLE}</style></head>\n<body>\n"
-        "<h1>The paper's figures by giajax</h1>\n<p>Figures and tables that Takeichi, Suzumori, "
-        "Endo and Nabae (<i>Development of a 20-m-long Giacometti arm with balloon body based on "
-        "kinematic model with air resistance</i>) derive from their models, made again by "
-        f"giajax {__version__}. Below each stands what is printed in the paper, what is assumed, "
-        "and what was reconstructed.</p>\n" + "".join(parts) + "</body></html>\n"
+        "<h1>The paper's figures, reproduced by giajax</h1>\n<p>Figures and tables that Takeichi, "
+        "Suzumori, Endo and Nabae (<i>Development of a 20-m-long Giacometti arm with balloon body "
+        "based on kinematic model with air resistance</i>) derive from their models, reproduced by "
+        f"giajax {__version__}. The text below each figure states what is printed in the paper, "
+        "what is assumed, "
+        "and what is reconstructed.</p>\n" + "".join(parts) + "</body></html>\n"
     )
     return with_policy(page.encode())
 

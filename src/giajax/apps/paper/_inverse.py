@@ -31,7 +31,7 @@ Say = Callable[[str], None]
 
 LINKS_COMPARED = 4
 CELLS = np.asarray([float(cell) for row in PRINTED.values() for cell in row[:LINKS_COMPARED]])
-"""The eight that are printed, %: with air, then without."""
+"""The eight printed cells of table 3, %: first with air, then without."""
 
 ROUNDING = 0.5  # cells are printed in whole percent
 STARTS, POOL, ITERATIONS, SEED = 5, 60, 40, 0
@@ -100,7 +100,7 @@ def search(
     """
     taken = READINGS[reading]
     random = np.random.default_rng(seed)
-    say(f"{taken.label}: {pool} random arms")
+    say(f"{taken.label}: evaluating {pool} random arms")
     drawn = [random.uniform(*taken.box()) for _ in range(pool)]
     cells = [np.asarray(evaluated(taken.all(each)).cells) for each in drawn]
     off = np.nan_to_num(np.sum((np.stack(cells) - CELLS) ** 2, axis=1), nan=np.inf)
@@ -133,7 +133,7 @@ def _descend(
             at, state, end = each
             worst = float(np.max(np.abs(np.asarray(state.aux.cells) - CELLS)))
             tell(say, f"{taken.label}, start {number}, step {tried - 1}: "
-                      f"largest error of a cell {worst:.3g} points")  # fmt: skip
+                      f"largest error of a cell: {worst:.3g} percentage points")  # fmt: skip
             if worst < ROUNDING:
                 why = "reached"
                 break
@@ -236,9 +236,11 @@ def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
     beside: Any = {"textcoords": "offset points", "fontsize": 7, "color": GREY}
     for share in (0.1, 1.0):
         left.axhline(ROUNDING / share, color=GREY, linewidth=0.8, linestyle=(0, (4, 2)))
-        left.annotate(f"half a point is {share:.0%}", (1, ROUNDING / share), (0, 3), **beside)
+        left.annotate(
+            f"half a percentage point is {share:.0%}", (1, ROUNDING / share), (0, 3), **beside
+        )
     left.set_yscale("log")
-    plain(left, "singular values (percentage points a factor of e)", "direction")
+    plain(left, "singular values (percentage points per factor of e)", "direction")
     left.legend(fontsize=8, frameon=False)
     best = nearest(ends)
     free = READINGS[best.reading].free
@@ -250,7 +252,7 @@ def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
         if abs(share) >= _WORTH:
             ink = "white" if abs(share) > 0.6 else INK
             right.text(column, at, f"{share:.1f}", ha="center", va="center", fontsize=6, color=ink)
-    title = f"directions of the nearest ({best.reading} {best.number})"
+    title = f"directions of the best result ({best.reading} {best.number})"
     right.set_title(title, fontsize=9, loc="left", color=INK)
     right.set_ylabel("direction", fontsize=8)
     return figure
@@ -258,12 +260,13 @@ def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
 
 SOURCES = Sources(
     printed="the eight cells, the definition of the concordance, the paper's model (eq. (1) at the "
-    "centres of the links, 0.047 kg each), and that joints of the prototype do not return to 0.",
-    assumed=f"that the base joint bends at {STARTS_AT:g} s and turns back once, as fast as it "
-    "went; that the displacement is z; no noise of a camera, no wind; and the ranges of all "
-    "numbers that are looked for (in the table).",
-    reconstructed="the experiment: the paper's arm with joints that remember (Dahl's friction), or "
-    "in the second reading with stiffness, damping, C_D and base angle of its own, too.",
+    "centres of the links, 0.047 kg each), and the statement that the prototype's joints do not "
+    "return to 0.",
+    assumed=f"that the base joint bends at {STARTS_AT:g} s and returns once, at the same "
+    "speed; that the displacement is z; no camera noise and no wind; and the ranges of all "
+    "unknowns (in the table).",
+    reconstructed="the experiment: the paper's arm with joints with memory (Dahl's friction), and, "
+    "in the second reading, also with its own stiffness, damping, C_D and base angle.",
 )
 
 _PLACES = tuple(f"link {link}, {air} air, %" for air in ("with", "without") for link in LINKS)
@@ -294,14 +297,14 @@ def shown(ends: Sequence[SearchEnd]) -> Reproduced:
     reached = sum(end.why == "reached" for end in ends)
     best = nearest(ends)
     title = (
-        f"Table 3 the other way round: {reached or 'none'} of {len(ends)} searches reach the eight "
-        f"printed cells; the nearest is {rms(best):.1f} points off in the root mean square"
+        f"Inversion of table 3: {reached or 'none'} of {len(ends)} searches reach the eight "
+        f"printed cells; the best one has an RMS error of {rms(best):.1f} percentage points"
     )
     return Reproduced(
         title,
         SOURCES,
         drawn(ends, title),
-        ("", "printed, or range", *(f"{end.reading} {end.number}" for end in ends)),
+        ("", "printed value, or range", *(f"{end.reading} {end.number}" for end in ends)),
         _rows(ends),
         _columns(ends),
         {"searches": [_record(end) for end in ends]},
@@ -314,7 +317,7 @@ def _rows(ends: Sequence[SearchEnd]) -> tuple[tuple[Any, ...], ...]:
             (place, f"{CELLS[at]:g}", *(f"{end.out.cells[at]:.1f}" for end in ends))
             for at, place in enumerate(_PLACES)
         ),
-        ("error, root mean square", "", *(f"{rms(end):.1f}" for end in ends)),
+        ("RMS error, percentage points", "", *(f"{rms(end):.1f}" for end in ends)),
         ("ended", "", *(end.why for end in ends)),
         ("steps", "", *(end.iterations for end in ends)),
     ]
@@ -332,7 +335,7 @@ def _rows(ends: Sequence[SearchEnd]) -> tuple[tuple[Any, ...], ...]:
     for at in range(len(CELLS)):
         rows.append((f"singular value {at + 1}", "", *(f"{size[at]:.2g}" for size in sizes)))
     replaced = [int(rough(end).sum()) for end in ends]
-    rows.append(("derivatives without a slope", "", *replaced))
+    rows.append(("derivatives replaced by differences", "", *replaced))
     return tuple(rows)
 
 

@@ -38,11 +38,12 @@ JOINTS = {1: VERMILLION, 3: BLUE, 5: GREEN}
 STEP_FOR = 1.0
 
 _FIG06_SOURCES = Sources(
-    printed="the way from a commanded angle to two pressures, and from these to a torque (fig. 6 "
-    "and eqs (2) to (11)), 0.3 N m of co-contraction, alpha and beta, the arm of table 2.",
-    assumed=f"the joint's geometry, the muscles' law, alpha and beta blended over 1{DEGREE} "
+    printed="the computation of two pressures from a commanded angle, and of the torque from these "
+    "(fig. 6 and eqs (2) to (11)), 0.3 N m of co-contraction, alpha and beta, and the arm of table "
+    "2.",
+    assumed=f"the joint's geometry, the law of the muscles, alpha and beta blended over 1{DEGREE} "
     f"about 0, springs of the pair's stiffness at {STEP_DEG:g}{DEGREE}, C_D = 1.2, damping 0.05 N "
-    f"m s/rad, joint 1 sent to {STEP_DEG:g}{DEGREE} within {STEP_FOR:g} s and all others to 0.",
+    f"m s/rad, joint 1 commanded to {STEP_DEG:g}{DEGREE} within {STEP_FOR:g} s, all others to 0.",
     reconstructed="nothing.",
 )
 
@@ -90,10 +91,10 @@ def fig06() -> Reproduced:
         columns[f"link{link:02d}_z_by_pressures_m"] = _heights(driven)[:, link - 1]
         columns[f"link{link:02d}_z_by_springs_m"] = _heights(sprung)[:, link - 1]
     return Reproduced(
-        "The arm by the pressures of its muscles, and with springs",
+        "The arm driven by muscle pressures, and the same arm with springs",
         _FIG06_SOURCES,
         _drawn(driven, sprung),
-        ("joint", "commanded, deg", "stable at, deg", "by pressures, deg", "by springs, deg"),
+        ("joint", "commanded, deg", "stable angles, deg", "with muscles, deg", "with springs, deg"),
         tuple(rows),
         columns,
     )
@@ -104,7 +105,7 @@ def _heights(motion: Trajectory) -> np.ndarray:
 
 
 def _drawn(driven: Trajectory, sprung: Trajectory) -> Figure:
-    figure = new_figure(8, 8.2, "Fig. 6: muscles by pressures (solid), springs (dotted)")
+    figure = new_figure(8, 8.2, "Fig. 6: muscles driven by pressures (solid), springs (dotted)")
     panels = figure.subplots(3, 1, sharex=True, height_ratios=[1, 1.6, 1.6])
     times = np.asarray(driven.times)
     supplied = np.asarray(driven.pressures)[:, :, 0] / 1e3
@@ -126,16 +127,16 @@ def _drawn(driven: Trajectory, sprung: Trajectory) -> Figure:
 ANGLES = (-60.0, -40.0, -20.0, 20.0, 40.0, 60.0)
 
 _ASSUMED = (
-    "where muscle, wire and bush are fixed, and the lengths of wire (0.34 m) and muscle (1.96 m): "
-    "the paper gives no coordinates."
+    "the points where muscle, wire and bush are fixed, and the lengths of wire (0.34 m) and muscle "
+    "(1.96 m): the paper gives no coordinates."
 )
-_NOT_DRAWN = "nothing; the paper's measured points are not in its text, and none are drawn."
+_NOT_DRAWN = "nothing; the paper gives its measured points only in a figure, so they are not drawn."
 
 
 _PRINTED = {
     9: "eqs (2) to (11) with alpha = beta = 0, and the torque of 0.3 N m.",
-    10: "eqs (2) to (11), the torque of 0.3 N m, alpha, and beta, which is read with "
-    f"|theta|: as printed it jumps at 0{DEGREE} and 20{DEGREE}.",
+    10: "eqs (2) to (11), the torque of 0.3 N m, alpha, and beta, which is evaluated with "
+    f"|theta|: as printed, beta is discontinuous at 0{DEGREE} and 20{DEGREE}.",
 }
 
 
@@ -159,8 +160,8 @@ def fig09_or_10(number: int) -> Reproduced:
 
 _FIG12_SOURCES = Sources(
     printed=f"the history (60, -60, 0{DEGREE} twice, 1{DEGREE} every 5 or 20 s), eq. (12), the "
-    "offsets that make the mean error least, and the errors in the table.",
-    assumed=f"over how much travel xi goes from 0 to 1: 40{DEGREE}; of the explanations the "
+    "offsets that minimise the mean error, and the errors in the table.",
+    assumed=f"the travel over which xi changes from 0 to 1: 40{DEGREE}; for the explanations: the "
     "geometry, the muscles, and the film and gas (1 kPa) of the neck.",
     reconstructed="the link: a simulated joint that snaps through 0 and is hysteretic. The inverse "
     "operator and the second history are giajax's.",
@@ -182,14 +183,23 @@ def fig12(progress: Callable[[str], None] | None = None) -> Reproduced:
         here = trial.mean / without.mean
         shown = (largest, trial.largest, mean, trial.mean, share, here, "-", "-", "-")
         rows.append((label, *shown))
-    (progress or (lambda text: None))("what the loop says of pair and links")
+    (progress or (lambda text: None))("fitting the explanations to the loop")
     measured = without.history.measured
     found = explained(without.angles[measured])
     rows += _explanation_rows(found, without.angles[measured])
     headings = (
-        *("compensation, or explanation", "largest error in the paper, deg", "here"),
-        *("mean error in the paper, deg", "here", "of that without, in the paper", "here"),
-        *("13 deg gives, deg (30)", "chi-square of the text", "log-likelihood of the loop"),
+        *("compensation or explanation", "largest error in the paper, deg", "here"),
+        *(
+            "mean error in the paper, deg",
+            "here",
+            "relative to no compensation, in the paper",
+            "here",
+        ),
+        *(
+            "angle at a command of 13 deg, deg (paper: about 30)",
+            "chi-square of the text",
+            "log-likelihood of the loop",
+        ),
     )
     figure = figure_12(study)
     title = "Fig. 12: one link, measured against target angles (a simulated joint)"

@@ -33,7 +33,7 @@ from ._search import AFTER, DURING, GAP, LOST, NEARER, SHARE, SLACK, PlanProblem
 from ._target import ROOM, AbstractTarget, CommandLimits, without_contact
 
 KNOTS = 10
-"""Intervals of a planned command by default."""
+"""Default number of intervals of a planned command."""
 
 _MODES = 3  # that are commanded by themselves
 _LATER = 3  # slowest periods after the command that are looked at
@@ -155,27 +155,32 @@ def plan_command(
     stated, limits = arm_model_of(model), limits or CommandLimits()
     arm = stated.arm
     if limits.pressure is not None and arm.pneumatics is None:
-        raise InputError("the arm has no muscles whose pressure is limited: leave the limit out")
+        raise InputError("the arm has no muscles whose pressure could be limited: remove the limit")
     if duration is not None and not duration > 0:
-        raise InputError(f"the command is to last {duration:g} s: give a positive number")
+        raise InputError(f"the duration of the command is {duration:g} s: give a positive number")
     if not 0 < within < 1:
-        raise InputError(f"within is {within:g} of the travel: give a share between 0 and 1")
+        raise InputError(
+            f"within is {within:g}, but it is a share of the travel: give a number between 0 and 1"
+        )
     if knots < 2:
-        raise InputError(f"a command of {knots} intervals cannot brake: give at least 2")
+        raise InputError(
+            f"a command of {knots} intervals is too short to brake: give at least 2 intervals"
+        )
     first = np.zeros(arm.count) if begin is None else np.asarray(begin, dtype=float)
     if first.shape != (arm.count,):
         raise InputError(
-            f"the beginning has {first.size} angles, and the arm has {arm.count} joints"
+            f"the initial pose has {first.size} angles, but the arm has {arm.count} joints"
         )
     ways = target.commands(arm, first, limits)
     route = np.concatenate([first[None], ways])
     if (worst := float(np.max(np.abs(route)))) > limits.angle * (1 + 1e-9):
         raise InputError(
-            f"a joint is commanded to {np.rad2deg(worst):.3g} deg in the beginning or the end, and "
-            f"{np.rad2deg(limits.angle):.3g} deg are allowed: allow more, or choose another pose"
+            f"a joint is commanded to {np.rad2deg(worst):.3g} deg in the initial or final pose, "
+            f"but only {np.rad2deg(limits.angle):.3g} deg are allowed: allow a larger angle, or "
+            "choose another pose"
         )
     rests = [
-        found_rest(without_contact(arm), row, "where the command " + place)
+        found_rest(without_contact(arm), row, "for the pose in which the command " + place)
         for row, place in zip(route, ["begins", *["passes"] * (len(ways) - 1), "ends"], strict=True)
     ]
     if arm.contact is not None:
@@ -186,7 +191,7 @@ def plan_command(
         raise InputError("the tip is already at its target: choose another target")
     problem = _problem(arm, route, rests[-1], within * travel, limits, duration, knots)
     if progress is not None:
-        progress("searching a command ...")
+        progress("searching for a command ...")
     y, steps = problem.solved(most_steps, progress)
     _check(problem, y, duration)
     direct = _direct(route, limits.rate)
@@ -209,7 +214,7 @@ def plan_command(
     target.check(arm, rows[1].tips)
     notes = _doubts(rows[1], limits, within * travel, arm.further_laws.rows > 0)
     if springs == "some":
-        notes.append("the stiffness columns apply to springs: muscles keep their stated values")
+        notes.append("the stiffness columns change only springs: muscles keep their stated values")
     if lost := len(drawn) - min(len(row.drawn) for row in rows):
         notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")
     if steps >= most_steps:
@@ -229,10 +234,10 @@ def _clear_at_ends(arm: Arm, rests: Sequence[Rest], limits: CommandLimits) -> No
         link, box = np.unravel_index(np.argmin(gaps), gaps.shape)
         gap, name = float(gaps[link, box]), things[owners(things)[box]].name
         if gap < limits.clearance:
-            far = f"{gap:.3g} m from" if gap >= 0 else f"{-gap:.2g} m within"
+            far = f"{gap:.3g} m away from" if gap >= 0 else f"{-gap:.2g} m inside"
             raise InputError(
-                f"where the command {where}, link {link + 1} is {far} {name}, and "
-                f"{limits.clearance:g} m are to be kept clear: choose another pose, or less "
+                f"when the command {where}, link {link + 1} is {far} {name}, but a clearance of "
+                f"{limits.clearance:g} m is required: choose another pose, or a smaller "
                 "clearance"
             )
 
@@ -271,7 +276,7 @@ def _searched_on(
             break
         nearness *= _FURTHER / over
         if progress is not None:
-            progress("searching on, nearer to the target ...")
+            progress("continuing the search, closer to the target ...")
         nearer, more = problem.closer(nearness, y).solved(most - steps, progress)
         steps += more
         try:
@@ -295,13 +300,13 @@ def _doubts(row: Planned, limits: CommandLimits, near: float, remembers: bool) -
     notes = []
     if row.missed > near:
         why = (
-            "joints with hysteresis may continue to creep"
+            "joints with hysteresis may continue to creep: allow a larger distance"
             if remembers
-            else "give it more time, or more knots"
+            else "allow the command more time, or more knots"
         )
         notes.append(
-            f"within three slowest periods after the command the tip is up to {row.missed:.3g} m "
-            f"from the target, and {near:.3g} m are allowed: {why}"
+            "within three of the longest periods after the command the tip is up to "
+            f"{row.missed:.3g} m from the target, but only {near:.3g} m are allowed: {why}"
         )
     if row.clearance is None or row.closest is None:
         return notes
@@ -309,9 +314,11 @@ def _doubts(row: Planned, limits: CommandLimits, near: float, remembers: bool) -
         raise InputError(
             "between the planned times a link touches an obstacle: plan with more clearance"
         )
-    for gap, whose in ((row.clearance, ""), (row.closest, " of an arm that may be the true one")):
+    for gap, whose in ((row.clearance, ""), (row.closest, " in one of the draws")):
         if gap < limits.clearance:
-            notes.append(f"a link{whose} comes as near as {gap:.3g} m: plan with more clearance")
+            notes.append(
+                f"a link{whose} comes within {gap:.3g} m of an obstacle: plan with more clearance"
+            )
             break
     return notes
 
@@ -341,8 +348,9 @@ def _problem(
     least = float(direct.times[-1])
     if duration is not None and duration < least:
         raise InputError(
-            f"within {np.rad2deg(limits.rate):g} deg/s the way there takes {least:.1f} s, and the "
-            f"command is to last {duration:g} s: give it more time, or allow a larger rate"
+            f"within {np.rad2deg(limits.rate):g} deg/s the motion to the target takes {least:.1f} "
+            f"s, but the command is to last only {duration:g} s: allow it more time, or a larger "
+            "rate"
         )
     base = direct.at(np.linspace(0.0, least, knots + 1))
     period, pressure = 2 * np.pi / frequencies[0], limits.pressure or np.inf
@@ -385,11 +393,11 @@ def _check(problem: PlanProblem, y: np.ndarray, duration: float | None) -> None:
     off = float(1 - np.min(kept[:AFTER]))
     if duration is None and off > 1 + SLACK:
         muscles = problem.task.arm.pneumatics is not None
-        held = "; muscles may hold a joint at several angles, above all near 0" if muscles else ""
+        held = "; muscles may hold a joint at several angles, mainly near 0" if muscles else ""
         raise InputError(
-            f"no command within the limits is found after which the tip stays near the target (at "
-            f"best {off:.3g} times the allowed distance{held}): allow larger angles or rates, or "
-            "more knots"
+            f"no command within the limits was found after which the tip stays near the target (at "
+            f"best at {off:.3g} times the allowed distance{held}): allow larger angles or rates, "
+            "or more knots"
         )
 
 

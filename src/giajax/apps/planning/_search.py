@@ -250,7 +250,11 @@ class PlanProblem:
             count += 1
             if progress is not None and count % _EVERY == 0:
                 took = float(y[0] * self.task.period)
-                left = "" if y[-2] < SLACK else f", {1 + y[-2]:.1f} times as far off as it may be"
+                left = (
+                    ""
+                    if y[-2] < SLACK
+                    else f", {1 + y[-2]:.1f} times the allowed distance from the target"
+                )
                 progress(f"step {count}: {took:.1f} s{left}")
 
         start = best = self.start

@@ -104,7 +104,7 @@ class Pose(AbstractTarget):
         angles = np.asarray(self.angles, dtype=float)
         if angles.shape != begin.shape:
             raise InputError(
-                f"the pose has {angles.size} angles, and the arm has {arm.count} joints"
+                f"the pose has {angles.size} angles, but the arm has {arm.count} joints"
             )
         return angles[None]
 
@@ -160,8 +160,8 @@ class Through(AbstractTarget):
             if np.all(np.abs(place[1:]) < np.asarray(opening.half)):
                 return
         raise InputError(
-            "the path that was found does not lead through the opening: start before the wall, or "
-            "approach it from closer poses"
+            "the path that was found does not pass through the opening: start before the wall, or "
+            "choose initial and target poses that are closer to it"
         )
 
 
@@ -214,9 +214,9 @@ def commands_reaching(
     nearest = float(np.linalg.norm(looked(towards.x)[0][:3]))
     if nearest > _FAR:
         raise InputError(
-            f"the tip cannot be at {_text(place)} m with joints within {np.rad2deg(limit):g} deg: "
-            f"the closest pose that was found is {nearest:.2g} m from it; choose a target within "
-            "reach"
+            f"the tip cannot be at {_text(place)} m with joint angles within {np.rad2deg(limit):g} "
+            f"deg: the tip of the closest pose found is {nearest:.2g} m away from it; choose a "
+            "target within reach"
         )
     found = minimize(
         lambda u: (float(np.sum((u - near) ** 2)), 2 * (u - near)),
@@ -233,9 +233,9 @@ def commands_reaching(
     if off > _OFF or np.min(values[3:], initial=0.0) < -_OFF or not known_rest.known:
         kept_to = "" if len(margin) == 3 else " and with the required clearance"
         raise InputError(
-            f"no pose is found in which the tip is at {_text(place)} m, with joints within "
-            f"{np.rad2deg(limits.angle):g} deg{kept_to} (it comes as near as {off:.2g} m): choose "
-            "a target within reach, or reduce the clearance"
+            f"no pose was found in which the tip is at {_text(place)} m, with joint angles within "
+            f"{np.rad2deg(limits.angle):g} deg{kept_to} (the closest tip is {off:.2g} m away): "
+            "choose a target within reach, or reduce the clearance"
         )
     return np.asarray(found.x)
 

@@ -76,8 +76,8 @@ def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
     steps = [move for move in moves if move.duration == 0]
     if steps and len(steps) < len(moves):
         raise InputError(
-            "steps and ramps are mixed, but a run has one interpolation for all its commands: "
-            "give only steps, or ramps alone (a short ramp is almost a step)"
+            "steps and ramps are mixed, but all commands of a run use the same interpolation: "
+            "give only steps, or only ramps (a short ramp is almost a step)"
         )
     by_joint: dict[int, list[Move]] = {}
     for move in sorted(moves):
@@ -90,7 +90,7 @@ def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
         if not (np.isfinite(angle) and np.isfinite(duration) and duration >= 0):
             raise InputError(
                 f"the movement of joint {joint} at {start:g} s must have a finite angle and a "
-                "positive duration: correct it"
+                "positive duration: correct the movement"
             )
         if not 0 <= start < end:
             raise InputError(
@@ -115,7 +115,7 @@ def _knots(moves: Sequence[Move]) -> tuple[Times, Times]:
         if move.start < free_from + (_SAME_TIME if move.duration == 0 else -_SAME_TIME):
             raise InputError(
                 f"two movements of joint {move.joint} overlap at {move.start:g} s: start the "
-                "second when the first has ended"
+                "second after the end of the first"
             )
         free_from = move.start + move.duration
         added = [(move.start, angles[-1]), (free_from, move.angle)]
@@ -147,20 +147,20 @@ def sampled(
     """
     if not (0 < duration < np.inf and 0 < rate < np.inf):
         raise InputError(
-            f"a run of {duration:g} s at {rate:g} samples per second has no samples: "
+            f"a run of {duration:g} s at {rate:g} samples per second contains no samples: "
             "give two positive numbers"
         )
     count = round(min(duration * rate, 2.0 * _MOST_ROWS))
     if count > _MOST_ROWS:
         raise InputError(
             f"a run of {duration:g} s at {rate:g} samples per second has more than {_MOST_ROWS} "
-            "samples: shorten it or sample less often"
+            "samples: shorten it, or reduce the sampling rate"
         )
     if count < 1 or abs(duration * rate - count) > 1e-6 * count:
         fitting = max(count, 1) / rate
         raise InputError(
-            f"{duration:g} s at {rate:g} samples per second is not a whole number of samples: "
-            f"make it {fitting:.9g} s, or change the rate"
+            f"{duration:g} s at {rate:g} samples per second do not give a whole number of samples: "
+            f"use {fitting:.9g} s, or change the rate"
         )
     samples = np.linspace(start, start + duration, count + 1)
     corners = np.concatenate([np.empty(0), *(drive.corners() for drive in drives)])

@@ -36,10 +36,12 @@ from ...runtime.text import InputError
 from ._drive import Drive
 
 RESOLVED = 0.5
-"""Of the frequency that rows resolve at all: gusts quicker than four rows are left out."""
+"""Highest frequency of gusts, as a share of the Nyquist frequency: the gusts contain no periods
+shorter than four samples.
+"""
 
 DECAY = 12.0
-"""Of the coherence of gusts over distances, in IEC 61400-1."""
+"""Default decay of the coherence of gusts with distance, from IEC 61400-1."""
 
 _SLOW = 0.12  # of slow gusts, whose coherence ends after some length scales, in IEC 61400-1
 _LAMBDA = 2 * np.pi * 1.339
@@ -176,13 +178,16 @@ def gusts(
         )
     parts = np.asarray(intensity, dtype=float)
     if lines < 1:
-        raise InputError(f"the lines of gusts are {lines}: give a whole number of at least 1")
+        raise InputError(
+            f"the number of spectral lines of the gusts is {lines}: give a whole number of at "
+            "least 1"
+        )
     if seed < 0:
         raise InputError(f"the seed of gusts is {seed}: give a whole number of at least 0")
     sound = np.all((parts >= 0) & (parts < np.inf)) and np.any(parts)
     if parts.shape not in ((), (3,)) or not sound:
         raise InputError(
-            f"the intensity of gusts is {np.array2string(parts)}: give one number or three, none "
+            f"the intensity of gusts is {np.array2string(parts)}: give one or three numbers, none "
             "of them negative and not all of them 0"
         )
     given = {"length_scale": length_scale, "duration": duration, "interval": interval}
@@ -199,8 +204,8 @@ def gusts(
     if where is not None:
         if where.ndim != 2 or where.shape[1:] != (3,) or not np.all(np.isfinite(where)):
             raise InputError(
-                f"the places of gusts have the shape {where.shape}: give x, y and z of each link "
-                "in m"
+                f"the positions for the gusts have the shape {where.shape}: give x, y and z of "
+                "each link in m"
             )
         if not 0 <= decay < np.inf:
             raise InputError(f"the decay of gusts is {decay:g}: give a number of at least 0")

@@ -55,14 +55,14 @@ class RecordingErrors:
         for name in ("missing", "bursts", "outliers"):
             if not 0 <= getattr(self, name) < 1:
                 raise InputError(
-                    f"the fraction {name} is {getattr(self, name):g}: give at least 0 and "
-                    "less than 1"
+                    f"the fraction {name} is {getattr(self, name):g}: give a number of at least 0 "
+                    "and less than 1"
                 )
         for name in ("correlation_time", "burst_duration"):
             if not 0 < getattr(self, name) < np.inf:
                 raise InputError(f"{name} is {getattr(self, name):g} s: give a positive time")
         if (self.outliers > 0) != bool(self.outlier_size):
-            raise InputError("outliers need a fraction and a size: give both or none")
+            raise InputError("outliers need both a fraction and a size: give both or neither")
 
 
 def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
@@ -76,8 +76,8 @@ def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
     )
     if run.times is None and (errors.correlated or errors.bursts):
         raise InputError(
-            f"'{run.name}' has no times, so that its errors are neither correlated nor in "
-            "bursts: leave these out"
+            f"'{run.name}' has no times, so its errors cannot be correlated or occur in "
+            "bursts: omit these options"
         )
     values: dict[str, Any] = dict(run.values)
     for name, exact in run.observations.items():
@@ -96,7 +96,7 @@ def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
             random = _stream(seed, "bursts", f"{channel.kind}{channel.index}")
             recorded[_stretches(run.times, errors.bursts, errors.burst_duration, random)] = np.nan
         if np.all(np.isnan(recorded)):
-            raise InputError(f"no value of {name} is left: lower the fractions that are lost")
+            raise InputError(f"no value of {name} remains: reduce the fractions of lost values")
         values[name] = recorded
     kept = {key: value for key, value in run.definition.contents().items() if key != "noise"}
     total = {
@@ -136,7 +136,7 @@ def _by_channel(run: Run, deviations: Mapping[str, float]) -> dict[str, float]:
     bare = {key: value for key, value in run.definition.contents().items() if key != "noise"}
     positive = {key: value for key, value in deviations.items() if value > 0}
     if any(not np.isfinite(value) or value < 0 for value in deviations.values()):
-        raise InputError("a standard deviation or size is negative or infinite: correct it")
+        raise InputError("a standard deviation or size is negative or not finite: correct it")
     plan = Run.from_arrays(run.times, run.values, noise=positive, definition=bare)
     return {name: plan.noise(name) or 0.0 for name in run.observations}
 
@@ -223,7 +223,9 @@ def synthesise(
         ['link20_z']
     """
     if not 0 <= missing < 1:
-        raise InputError(f"the missing fraction is {missing:g}: give at least 0 and less than 1")
+        raise InputError(
+            f"the missing fraction is {missing:g}: give a number of at least 0 and less than 1"
+        )
     times = None if times is None else np.asarray(times, dtype=float)
     if not isinstance(definition, Definition):
         definition = Definition.parse(definition or {}, f"{name}: definition")
@@ -243,7 +245,7 @@ def synthesise(
     unknown = [channel for channel in channels if channel not in plan.observations]
     if unknown:
         raise InputError(
-            f"'{unknown[0]}' drives the model, which does not predict it: record another channel"
+            f"'{unknown[0]}' is an input of the model and not predicted: record another channel"
         )
     predicted, _ = _predicted(model, plan, tuple(channels))
     recorded: dict[str, Any] = {}

@@ -411,12 +411,12 @@ def tracked_arm(
             the arm does not have, or an arm among obstacles.
     """
     if model.arm.contact is not None:
-        raise InputError("the arm has obstacles, which tracking does not support: leave them out")
+        raise InputError("the arm has obstacles, which tracking does not support: remove them")
     for name in channels:
         if (Channel.named(name).index or 0) > model.arm.count and "mark" not in name:
             raise InputError(
-                f"{name} is measured, but the arm has {model.arm.count} links: leave it out, or "
-                "give a longer arm"
+                f"{name} is measured, but the arm has only {model.arm.count} links: omit the "
+                "channel, or give a longer arm"
             )
     sensors = model.sensors
     for path, rate in (
@@ -426,11 +426,11 @@ def tracked_arm(
         if rate is not None and float(rate):
             raise InputError(
                 f"{path} is {float(rate):g}, but tracking needs exact clocks: correct time_s, and "
-                "leave it out"
+                "remove this parameter"
             )
     for path in paths:
         if path not in _DELAYS and len(elements(model, path)) != 1:
-            raise InputError(f"{path} has several numbers: give one of them, such as {path}[0]")
+            raise InputError(f"{path} has several elements: give one of them, such as {path}[0]")
     late = [0.0 if each is None else float(each) for each in _delays(model)]
     bias_of, deviations, lasting = _bias_columns(channels, biases)
     model = dataclasses.replace(model, sensors=sensors.without_clocks())
@@ -468,8 +468,8 @@ def _bias_columns(
         column = np.array([name in bias.channels for name in channels], float)
         if not np.any(column):
             raise InputError(
-                f"there is a bias of {', '.join(bias.channels)}, which is not measured: leave it "
-                "out"
+                f"a bias is given for {', '.join(bias.channels)}, which is not measured: remove "
+                "this bias"
             )
         columns.append(column)
         deviations.append(bias.deviation)
@@ -484,7 +484,9 @@ def _gusts_along(model: ArmModel, air: Air) -> _Gusts:
     centres = np.asarray(link_centres(model.arm, jnp.zeros(count)))
     along = np.linalg.norm(centres - centres[0], axis=1)
     if air.places < 1 or air.places > count:
-        raise InputError(f"gusts are tracked at {air.places} places of the arm: give 1 to {count}")
+        raise InputError(
+            f"gusts are to be tracked at {air.places} places of the arm: give 1 to {count}"
+        )
     if air.places == 1:
         share, where = np.ones((count, 1)), centres[count // 2][None]
     else:

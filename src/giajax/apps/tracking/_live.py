@@ -124,14 +124,14 @@ class LiveRows:
             some = [*before, line]
             try:
                 if not line.endswith(b"\n"):
-                    raise InputError("it is not complete")
+                    raise InputError("the row is incomplete")
                 # With those before it: times increase, and in one unit.
                 data = b"".join([self._header, *some])
                 run = self._of(self._reader.read(data, number - len(before), partial=True))
                 if run.times is None or len(run.times) != len(some):
-                    raise InputError("it holds more than one row")
+                    raise InputError("the line contains more than one row")
             except InputError as error:
-                self._warn(f"row {number} is left out: {error}")
+                self._warn(f"row {number} is ignored: {error}")
                 continue
             before = some[-_BEFORE:]
             self.kept += line
@@ -167,7 +167,7 @@ def followed_live(
     coming = iter(rows)
     begun = list(itertools.islice(coming, 2))
     if len(begun) < 2:
-        raise InputError("the run has ended before its second row: give a header line and rows")
+        raise InputError("the input ended before its second row: give a header line and rows")
     first = rows.run(partial=True)
     tracker, what = _tracker_of(first, known_of, gate)
     recent: deque[tuple[float, float, int]] = deque()
@@ -213,7 +213,7 @@ def _tracker_of(
     """The tracker of a run that begins with these rows, and what is unknown to it."""
     if first.winds:
         raise InputError(
-            f"'{first.name}' has columns of a wind, which is not known in advance: leave them out, "
+            f"'{first.name}' has wind columns, but the wind is not known in advance: omit them, "
             "or track the run after it has ended"
         )
     assert first.times is not None

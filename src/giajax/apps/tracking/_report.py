@@ -15,7 +15,7 @@ from ._track import SHOWN, Change, States, Track
 from ._verdict import BAND, TrackVerdict
 
 Hidden = Sequence[tuple[str, float, float]]
-"""States that the channels hardly show, as of `unseen`."""
+"""States about which the channels hold little information, as `unseen` returns them."""
 
 _NAMED = 6
 
@@ -37,7 +37,7 @@ def track_figure(found: Track, title: str = "") -> Figure:
     """Tip, wind and innovations over time, with bands of 95 %."""
     blows = found.filtered.wind is not None
     rows = 4 + blows
-    figure = new_figure(9, 1.7 * rows + 0.6, title or f"{found.run.name}: tracked")
+    figure = new_figure(9, 1.7 * rows + 0.6, title or f"Track of {found.run.name}")
     axes = figure.subplots(rows, 1, sharex=True)
     times = found.times
     for k, axis in enumerate("xyz"):
@@ -209,7 +209,7 @@ def change_sentence(change: Change) -> str:
     way = "fallen" if change.size < 0 else "risen"
     return (
         f"changed: {change.path} has {way} by {abs(change.size):.2g} +- {change.deviation:.1g} at "
-        f"about {change.time:.1f} s, as seen at {change.found:.1f} s"
+        f"about {change.time:.1f} s (detected at {change.found:.1f} s)"
     )
 
 
@@ -225,7 +225,7 @@ def track_rows(found: Track) -> list[tuple[Any, ...]]:
     for name, (mean, spread, unit, factor) in _quantities(latest).items():
         if name.startswith("joint") and name != f"joint{least + 1:02d}_angle":
             continue
-        words = name if not name.startswith("joint") else f"{name} (known least)"
+        words = name if not name.startswith("joint") else f"{name} (largest uncertainty)"
         after = float(factor * np.mean(smooth[name][1]))
         unit = unit.replace("_per_", "/")
         rows.append((words, unit, float(factor * mean[-1]), float(factor * spread[-1]), after))
@@ -281,12 +281,12 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
     ]
     if found.loosened > 1:
         notes.append(
-            f"with the usual unmodelled torque the state became infinite; it was tracked with "
-            f"{found.loosened} times as much: the model may lack an effect, such as a wind"
+            "with the default unmodelled torque the state became infinite; the run was tracked "
+            f"with {found.loosened} times this torque: the model may lack an effect, such as a wind"
         )
     notes += [change_sentence(change) for change in found.changes]
     if found.changes and not verdict.adequate:
-        notes.append("changes are not reliable while the track is not adequate")
+        notes.append("detected changes are not reliable, because the track is not adequate")
     changed = {change.path: change.time for change in found.changes}
     for path, before in found.unknown.estimated.items():
         if found.smoothed.parameter_deviations[path][-1] > SHOWN * before:
@@ -298,7 +298,7 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
     if hidden:
         names = [name for name, _, _ in hidden]
         notes.append(
-            f"these channels have little information on {', '.join(names[:_NAMED])}"
+            f"these channels hold little information on {', '.join(names[:_NAMED])}"
             + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
             + ": their uncertainty is hardly reduced"
         )
@@ -308,8 +308,7 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
         known = float(np.sqrt(np.mean(np.sum(found.now.tip_deviations**2, axis=1))))
         notes.append(
             f"when a measurement arrives, {found.now_times[0] - found.times[0]:.2g} s late, the "
-            "tip "
-            f"is known to {known:.2g} m"
+            f"position of the tip is known within {known:.2g} m"
         )
     return notes
 
@@ -330,8 +329,16 @@ def track_sections(
         ],
     )
     tables = [
-        ("States", states, "Deviations are standard deviations of the filter's last state."),
-        ("Innovations", sound, "Measured minus expected, over what is expected of that."),
+        (
+            "States",
+            states,
+            "Deviations are the standard deviations of the last state of the filter.",
+        ),
+        (
+            "Innovations",
+            sound,
+            "Measured minus expected values, divided by their expected standard deviations.",
+        ),
     ]
     return tables, track_notes(found, verdict, hidden)
 

@@ -70,7 +70,7 @@ class Events(NamedTuple):
 _SLOTS = 20  # times at which a change may have been
 _LARGEST = 3.0  # of a change, over its deviation
 EVERY = 2.0
-"""From one of these times to the next, s."""
+"""Interval between the times at which a change is tested, s."""
 
 
 class Watch(NamedTuple):
@@ -217,7 +217,7 @@ class Filtered(NamedTuple):
 
 
 GATE = 5.0
-"""Deviations; a measurement that is farther off does not count for the state."""
+"""Standard deviations beyond which a measurement is rejected as an outlier."""
 
 _IN_A_ROW = 5  # of outliers; what goes on after that is no outlier, and the state is wrong
 

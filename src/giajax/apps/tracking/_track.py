@@ -42,7 +42,7 @@ from ._rounds import (
 )
 
 STIFFNESS_SHARE = 3e-5
-"""Default of the unmodelled torque: this share of the mean stiffness, as white noise, root(s)."""
+"""Default unmodelled torque, as a share of the mean stiffness (white noise), root(s)."""
 
 _LONGEST = 0.1  # between two events, s
 SHORT = 1e-9  # the interval before the first event, s, by which slopes are divided
@@ -53,9 +53,9 @@ _DOUBLINGS = 13  # of an interval of the filter, which an arm has stood at the s
 _CHUNK, _DECIDES = 100, 200
 _MOST = 5e7  # numbers of one of some eight kinds that are kept: 3 GB
 CHANGED = 6.0
-"""Deviations of a change of a parameter from which on it is said to have changed."""
+"""Number of standard deviations from which a change of a parameter is reported."""
 SHOWN = 0.9
-"""Of its deviation at the start; a state that is above it has not been shown, or hardly."""
+"""Share of its initial deviation above which a state counts as hardly observed."""
 _ROUNDS, _STAYS = 3, 0.02  # of linearising once more, until a parameter moves by less deviations
 _WORSE = 1.0  # of the log-likelihood, by which a round may be, as it is linearised elsewhere
 # Of the state at the start: of an arm that has come to rest, and of one that starts as stated.
@@ -287,7 +287,7 @@ def noise_of(run: Run, channels: Sequence[str], result: FitResult | None) -> dic
             stated = known.get(name, quantities.get(run.channels[name].quantity))
         if stated is None or not stated > 0:
             raise InputError(
-                f"the noise of {name} of '{run.name}' is not known: state it in [noise], or give a "
+                f"the noise of {name} of '{run.name}' is unknown: state it in [noise], or give a "
                 "fit with --model"
             )
         found[name] = float(stated)
@@ -344,7 +344,7 @@ def planned(model: ArmModel, run: Run, channels: Sequence[str], *, unknown_air: 
         if run.channels[name].kind != "joint_command":
             raise InputError(
                 f"'{run.name}' drives the arm by {name}, but tracking needs commanded angles: "
-                "leave the column out"
+                "remove the column"
             )
     inputs = model.prepare(run)
     assert run.times is not None
@@ -606,8 +606,8 @@ def begun_at(
     known = run.definition.section(WindSection).velocity_m_per_s is not None or bool(run.winds)
     if unknown.air is not None and (known or has_own_wind(model)):
         raise InputError(
-            f"the wind of '{run.name}' is known, by its columns, [wind] or the arm: leave that "
-            "out, or do not track a wind"
+            f"the wind of '{run.name}' is given by its columns, by [wind] or by the arm: remove "
+            "this wind, or do not track a wind"
         )
     tracked = tracked_arm(
         model,
@@ -622,7 +622,7 @@ def begun_at(
     plan = planned(model, run, names, unknown_air=unknown.air is not None)
     if len(plan.times) * tracked.size**2 > _MOST:
         raise InputError(
-            f"'{run.name}' has {len(plan.times)} times with {tracked.size} states each, which is "
+            f"'{run.name}' has {len(plan.times)} times with {tracked.size} states each, which are "
             "too many: split it into several runs"
         )
     watch = None
@@ -696,21 +696,24 @@ def track(
     names = list(run.observations if channels is None else channels)
     if not (0 <= latency < 60 and gate > 0):
         raise InputError(
-            f"the latency is {latency:g} s and the gate {gate:g}: give 0 to 60 s, and a positive "
-            "number"
+            f"the latency is {latency:g} s and the gate {gate:g}: give a latency of 0 to 60 s and "
+            "a positive gate"
         )
     noise = noise_of(run, names, result)
-    say("start ...")
+    say("estimating the initial state ...")
     # Where nobody says how much torque is unmodelled, a model that lacks more may have more of it:
     # what is followed can be judged.
     factors = (1, 2, 4) if unknown.torque is None else (1,)
     for factor in factors:
         if factor > 1:
             torque = factor * usual_torque(stated)
-            say(f"the state becomes infinite; again with an unmodelled torque of {torque:.2g} ...")
+            say(
+                f"the state became infinite; repeating with an unmodelled torque of {torque:.2g} "
+                "..."
+            )
             unknown = dataclasses.replace(unknown, torque=torque)
         tracked, plan, begun, settings = begun_at(stated, run, noise, unknown, gate)
-        say(f"filter over {len(plan.times)} times ...")
+        say(f"filtering {len(plan.times)} times ...")
         course = watched_through(tracked, begun, plan, settings)
         found = course.rows
         states = as_states(tracked, found.state)
@@ -718,18 +721,17 @@ def track(
             break
     else:
         raise InputError(
-            f"the arm cannot be tracked through '{run.name}': its state becomes infinite; allow "
+            f"the arm cannot be tracked in '{run.name}', because its state becomes infinite: allow "
             f"more unmodelled torque than {float(tracked.torque):.2g} (--torque), or compare model "
             "and wind with the run first (giajax fit)"
         )
     if not np.any(found.used):
         raise InputError(
-            f"no measurement of '{run.name}' is accepted, because each is more than {gate:g} "
-            "standard "
-            "deviations off: "
+            f"no measurement of '{run.name}' is accepted, because each deviates by more than "
+            f"{gate:g} standard deviations: "
             "compare the model with the run first (giajax fit), or allow more (--gate)"
         )
-    say("smoother ...")
+    say("smoothing ...")
     every = settings._replace(estimated=jnp.ones_like(settings.estimated))
     if len(unknown.considered) or course.changes:
         # By the whole run, what is considered on the way is estimated.
@@ -738,13 +740,13 @@ def track(
     after = as_states(tracked, smooth)
     if not np.all(np.isfinite(after.mean)):
         raise InputError(
-            f"the smoother of '{run.name}' is not finite: allow more unmodelled torque, or compare "
-            "the model with the run first (giajax fit)"
+            f"the smoothed state of '{run.name}' is not finite: allow more unmodelled torque, or "
+            "compare the model with the run first (giajax fit)"
         )
     late = max(delays_of(stated, names).values()) + latency
     now, now_times = None, plan.times
     if late > 0:
-        say("estimates with latency ...")
+        say("computing the estimates with latency ...")
         now = as_states(tracked, _ahead(tracked, plan, course.rows.state, late))
         now_times = plan.times + late
     seen = course.rows.innovation
@@ -827,7 +829,7 @@ def _joined(parts: Sequence[Any]) -> Any:
 
 
 LATELY, FEW = 10.0, 4
-"""So long before a measurement (s) the arm is looked at, whether it moves, or so many values."""
+"""Time (s) and number of values before a measurement that decide whether the arm moves."""
 _MOVES = 2.0  # times the noise, by which an arm that moves is seen to
 
 

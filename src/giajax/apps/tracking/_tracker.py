@@ -149,12 +149,12 @@ class DelayedFilter(Generic[Kept]):
                 a number.
         """
         if not np.isfinite(time):
-            raise InputError(f"measurements are given for {time} s: give their time as a number")
+            raise InputError(f"the time of the measurements is {time} s: give a finite number")
         values = np.asarray(values, float)
         if values.shape != self._nothing.shape:
             raise InputError(
                 f"a row of {values.size} measurements is given for {self._nothing.size} channels: "
-                "give one for each, NaN where nothing was measured"
+                "give one for each channel, NaN where nothing was measured"
             )
         place = bisect.bisect_right(self._clones, time, key=_time)
         # Two measurements of one time are one event after the other, without an interval.
@@ -182,8 +182,8 @@ class DelayedFilter(Generic[Kept]):
         """
         if not self.time <= time < np.inf:
             raise InputError(
-                f"a state is requested for {time} s, before the last measurement at {self.time} s: "
-                "give a time that is not before it"
+                f"a state is requested at {time} s, before the last measurement at {self.time} s: "
+                "give a time that is not earlier"
             )
         begin, followed = self.time, self._clones[-1].followed
         for end in self._ends(begin, time):
@@ -358,8 +358,8 @@ class Tracker:
         given = with_errors_of(model, Unknown() if unknown is None else unknown)
         if not noise or not all(size > 0 for size in noise.values()):
             raise InputError(
-                "a tracker has the noise of at least one channel, in SI units, each positive: give "
-                "noise={'tip_x': 0.02} or the like"
+                "the noise of a tracker must be a positive number in SI units for at least one "
+                "channel: give noise={'tip_x': 0.02} or the like"
             )
         self.arm: TrackedArm = tracked_arm(
             stated,
@@ -386,7 +386,7 @@ class Tracker:
         )
         if given.air is not None and (wind is not None or has_own_wind(stated)):
             raise InputError(
-                "the wind of the arm is known: leave that out, or do not track one (Unknown.air)"
+                "the wind of the arm is given: remove it, or do not track a wind (Unknown.air)"
             )
         known = np.zeros(0 if given.air is None else 3)
         self._wind = known if wind is None else _row("components of the wind", wind, 3)
@@ -436,7 +436,7 @@ class Tracker:
             InputError: no time, or a name that is neither a command nor a measured channel.
         """
         if "time" not in row or not np.isfinite(row["time"]):
-            raise InputError("a row has no time: give its stamp in s")
+            raise InputError("a row has no time: give its time stamp in s")
         stamp = float(row["time"])
         command = self._commands[-1].copy()
         groups: dict[float, np.ndarray] = {}
@@ -454,7 +454,7 @@ class Tracker:
             else:
                 raise InputError(
                     f"'{name}' is neither a command of the arm nor a channel of the tracker: give "
-                    "noise for it, or leave it out"
+                    "its noise, or omit it"
                 )
         if stamp > self._knots[-1]:
             self._knots.append(stamp)

@@ -29,7 +29,7 @@ from ._track import (
 )
 
 BAND = 1.96
-"""Deviations on either side of a mean, within which it is in 95 of 100 cases."""
+"""Half-width, in standard deviations, of an interval that contains the mean in 95 % of cases."""
 # What is off by less is of no consequence, whatever the number of measurements.
 _ENOUGH = 0.1
 _BEYOND = 4.0  # standard errors
@@ -87,14 +87,14 @@ class TrackVerdict:
     def sentence(self) -> str:
         """It in one sentence."""
         if self.adequate:
-            return "adequate: innovations are white and as large as expected"
+            return "adequate: the innovations are white and as large as expected"
         if self.causes:
             best = self.causes[0]
             return f"not adequate: {best.name} (log-likelihood +{best.gain:.3g}); {best.advice}"
-        size = f"innovations are {np.sqrt(self.nis):.2g} times as large as expected"
+        size = f"the innovations are {np.sqrt(self.nis):.2g} times as large as expected"
         return (
             f"not adequate: {size}, with a correlation of {self.correlation:.2f}, and no tested "
-            "explanation is better: compare the model with the run by a fit"
+            "explanation is better: fit the model to the run"
         )
 
 
@@ -186,7 +186,7 @@ def judge(
     # Of two clocks one is late where the other is early: the first is shifted.
     clocks = sorted({delay_path(name) for name in found.arm.channels} - {""})
     for path in clocks[:1] if moves and look else ():
-        say(f"{path} ...")
+        say(f"testing {path} ...")
         tried.append(path)
         nominal = found.arm.delay_of(path) or 0.0
         names = [name for name in found.arm.channels if delay_path(name) == path]
@@ -204,15 +204,15 @@ def judge(
                     Cause(
                         path,
                         gain,
-                        f"{path} is about {nominal + at:.2f} s and stated as {nominal:.2f} s: "
-                        "correct it, or fit it",
+                        f"{path} is about {nominal + at:.2f} s but stated as {nominal:.2f} s: "
+                        "correct or fit it",
                         nominal + at,
                         deviation,
                     )
                 )
     if look and not sound:
         for name, unknown, noise, advice in _others(stated, found, nis):
-            say(f"{name} ...")
+            say(f"testing {name} ...")
             tried.append(name)
             gain = likely(stated, unknown, noise) - base
             if gain > _GAIN:
@@ -254,7 +254,7 @@ def _others(stated: ArmModel, found: Track, nis: float) -> list[Any]:
         guess = first_guess(_USUAL_WIND, *_USUAL_GUSTS, DECAY)
         air = Air(guess, 0.2, places=usual_places(stated))
         others.append(
-            ("a wind with gusts", also(air=air), None, "track it: --wind and --gusts, or Air")
+            ("a wind with gusts", also(air=air), None, "track the wind: --wind and --gusts, or Air")
         )
     spread = {
         path: 0.3 * float(elements(stated, path)[0].value(stated))
@@ -278,16 +278,19 @@ def _others(stated: ArmModel, found: Track, nis: float) -> list[Any]:
     biases = tuple(Bias(tuple(names), 10 * found.noise[names[0]]) for names in axes.values())
     if biases and not unknown.biases:
         others.append(
-            ("a bias of the camera", also(biases=biases), None, "track it: --bias, or Bias")
+            ("a bias of the camera", also(biases=biases), None, "track the bias: --bias, or Bias")
         )
     torque = 10 * float(found.arm.torque)
     others.append(
-        ("more unmodelled torque", also(torque=torque), None, f"allow more: --torque {torque:.2g}")
+        (
+            "more unmodelled torque",
+            also(torque=torque),
+            None,
+            f"allow more torque: --torque {torque:.2g}",
+        )
     )
     noisier = {name: float(np.sqrt(nis)) * size for name, size in found.noise.items()}
-    others.append(
-        ("other noise", unknown, noisier, f"[noise] is {np.sqrt(nis):.2g} times as large")
-    )
+    others.append(("other noise", unknown, noisier, f"multiply [noise] by {np.sqrt(nis):.2g}"))
     return others
 
 
@@ -320,7 +323,7 @@ def nees(found: Track, truth: Run) -> tuple[float, float]:
     ]
     if truth.times is None or not columns:
         raise InputError(
-            f"'{truth.name}' has no true angle or rate of a joint: give columns such as "
+            f"'{truth.name}' has no true angle or rate of any joint: give columns such as "
             "joint01_angle_deg"
         )
     near = np.clip(np.searchsorted(truth.times, found.times - 1e-6), 0, len(truth.times) - 1)
@@ -328,7 +331,9 @@ def nees(found: Track, truth: Run) -> tuple[float, float]:
     table = np.stack([truth.values[name][near[same]] for name, _ in columns], axis=1)
     there = np.all(np.isfinite(table), axis=1)
     if not there.any():
-        raise InputError(f"'{truth.name}' has no time of the track: give it at the same times")
+        raise InputError(
+            f"'{truth.name}' has none of the times of the track: give the truth at the same times"
+        )
     states = [index for _, index in columns]
     off = table[there] - found.filtered.mean[same][there][:, states]
     root = found.filtered.root[same][there][:, states]

@@ -43,19 +43,22 @@ class PrivateSocket:
 
     def __init__(self) -> None:
         if not hasattr(socket, "AF_UNIX"):
-            raise InputError("this system has no Unix sockets, but a page needs them: use another")
+            raise InputError(
+                "this system has no Unix sockets, which the page needs: use another system"
+            )
         try:
             self._folder = tempfile.TemporaryDirectory(prefix="giajax-", ignore_cleanup_errors=True)
         except OSError as error:
             raise InputError(
-                f"the temporary folder cannot be used ({error.strerror}): set TMPDIR to another"
+                f"the temporary folder cannot be used ({error.strerror}): set TMPDIR to another "
+                "folder"
             ) from None
         self.path = Path(self._folder.name, "page")
         if len(os.fsencode(self.path)) > _LONGEST:
             self.close()
             raise InputError(
-                f"the temporary folder {tempfile.gettempdir()} has too long a path for a socket: "
-                "set TMPDIR to a shorter one, such as /tmp"
+                f"the path of the temporary folder {tempfile.gettempdir()} is too long for a "
+                "socket: set TMPDIR to a shorter path, such as /tmp"
             )
 
     def close(self) -> None:
@@ -91,9 +94,11 @@ _HEAD_TIME, _IDLE_TIME = 10.0, 60.0
 # Connections without a head, and as many with the token; of one peer half of them.
 _MOST, _MOST_OF_PEER = 64, 32
 
-_TOKEN = "The address of this page contains a token: open the full address."
-_ORIGIN = "This request came from another page or host name: open the printed address."
-_FULL = "This page has reached its limit of connections: close other tabs."
+_TOKEN = "The address of this page lacks the token: open the full address."
+_ORIGIN = (
+    "This request came from another page or host name: open the address that the command printed."
+)
+_FULL = "This page has too many connections: close other tabs."
 
 _HOST = re.compile(r"([a-z0-9._-]+|\[[0-9a-f:.]+\])(?::([0-9]{1,5}))?")
 
@@ -331,9 +336,13 @@ async def _closed(writer: asyncio.StreamWriter) -> None:
 def bound(host: str, port: int) -> socket.socket:
     """A socket that listens at a place, which must be one of this machine that is not in use."""
     if not host:
-        raise InputError("the host is '', which is not an address: give one, such as 127.0.0.1")
+        raise InputError(
+            "the host is '', which is not an address: give an address such as 127.0.0.1"
+        )
     if not 0 <= port <= 65535:
-        raise InputError(f"the port is {port}: give one from 1024 to 65535, or 0 for a free one")
+        raise InputError(
+            f"the port is {port}: give a port from 1024 to 65535, or 0 for any free port"
+        )
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     found = socket.socket(family, socket.SOCK_STREAM)
     try:
@@ -345,6 +354,7 @@ def bound(host: str, port: int) -> socket.socket:
         found.close()
         why = (getattr(error, "strerror", None) or str(error)).lower()
         raise InputError(
-            f"cannot listen at {host}, port {port} ({why}): give another port, or 0 for a free one"
+            f"cannot listen at {host}, port {port} ({why}): give another port, or 0 for any free "
+            "port"
         ) from None
     return found

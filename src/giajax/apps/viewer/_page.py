@@ -16,7 +16,7 @@ from ._show import Posable, Show, frames, span
 from ._stage import LAYERS, Backend, Stage, offsets, stages
 
 SPEEDS = ("1/4", "1/2", "1", "2", "4", "8", "16")
-"""How much faster than real time a motion is played."""
+"""Playback speeds, as multiples of real time."""
 
 
 @dataclasses.dataclass
@@ -172,7 +172,7 @@ class Viewer:
                 if layer in there:
                     self._layer(layer, title)
             if len(self.stages) > 1:
-                box = gui.add_checkbox("one in the other", self._overlay)
+                box = gui.add_checkbox("overlay", self._overlay)
                 box.on_update(lambda _: self._place(overlay=box.value))
         self.draw()
 
@@ -184,7 +184,7 @@ class Viewer:
             bar = gui.add_slider("time (s)", player.first, player.last, step, player.first)
             play = gui.add_button("play")
             speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
-            again = gui.add_checkbox("again and again", player.again)
+            again = gui.add_checkbox("repeat", player.again)
         self._bar: Any = bar
         self._play: Any = play
 
@@ -292,7 +292,7 @@ class LiveStage:
 
 
 RATE = 30.0
-"""Most frames in a second of the motion."""
+"""Largest number of frames per second of the motion."""
 
 MOST_FRAMES = 1500  # in a file: twenty links in this many are about 2 MB
 

@@ -65,8 +65,8 @@ class Show:
         wrong = [name for name, points in self.recorded.items() if len(points) != self.samples]
         if wrong:
             raise InputError(
-                f"the recorded marker '{wrong[0]}' has {len(self.recorded[wrong[0]])} samples and "
-                f"the scene {self.samples}: give as many"
+                f"the recorded marker '{wrong[0]}' has {len(self.recorded[wrong[0]])} samples, but "
+                f"the scene has {self.samples}: give the same number"
             )
 
     @property
@@ -188,7 +188,7 @@ def posed(run: Run, name: str) -> Show:
     angles = np.stack([np.asarray(run.values[column]) for column in columns], axis=1)
     if not np.all(np.isfinite(angles)):
         row = int(np.argmin(np.all(np.isfinite(angles), axis=1)))
-        raise InputError(f"'{run.name}' lacks an angle at {times[row]:g} s: give all of them")
+        raise InputError(f"'{run.name}' has no value of an angle at {times[row]:g} s: fill the gap")
     rates = np.gradient(angles, times, axis=0) if len(times) > 1 else np.zeros_like(angles)
     motion = logged_motion(
         model.arm, times, angles, rates, np.zeros_like(angles), np.zeros((len(times), 3))
@@ -205,7 +205,13 @@ def _tracked(folder: Path, name: str) -> Show:
     links = range(sum(line.name == "link" for line in show.scene.lines))
     columns = [[end_columns(link, axis) for axis in "xyz"] for link in links]
     if any(column not in table for link in columns for pair in link for column in pair):
-        return dataclasses.replace(show, notes=("bands are not shown: track the run again",))
+        return dataclasses.replace(
+            show,
+            notes=(
+                "95 % regions are not shown, because the track does not contain them: track the "
+                "run again",
+            ),
+        )
     # Shape (kind, link, axis, sample).
     found = np.array(
         [[[table[pair[kind]] for pair in link] for link in columns] for kind in (0, 1)]
@@ -213,20 +219,21 @@ def _tracked(folder: Path, name: str) -> Show:
     centres, deviations = np.moveaxis(found, 3, 1)
     if len(centres) != show.samples or not np.all(np.isfinite(found)):
         raise InputError(
-            f"{path} lacks rows or cells of {TRACK_FILES.estimate}: track the run again"
+            f"{path} has missing rows or cells in {TRACK_FILES.estimate}: track the run again"
         )
     return dataclasses.replace(show, bands=Bands(centres, BAND * deviations))
 
 
 def _chosen(runs: list[Run], name: str | None, path: Path) -> Run:
     if not runs:
-        raise InputError(f"nothing of the runs of {path} was fitted: there is nothing to show")
+        raise InputError(f"{path} contains no fitted run: there is nothing to show")
     if name is None:
         return runs[0]
     known = {each.name: each for each in runs}
     if name not in known:
         raise InputError(
-            f"{path} was not fitted to a run '{name}': choose one of {', '.join(known)}"
+            f"the run '{name}' is not among the fitted runs of {path}: choose one of "
+            f"{', '.join(known)}"
         )
     return known[name]
 
@@ -239,12 +246,17 @@ def _followed(model: AbstractModel, run: Run, name: str) -> Show:
         raise InputError(f"the motion of '{run.name}' cannot be simulated: {error}") from None
     if scene is None:
         raise InputError(
-            f"'{run.name}' is of a {run.model}, of which nothing is seen: give an arm's"
+            f"'{run.name}' is a run of the {run.model} model, which has no scene: give a run of an "
+            "arm"
         )
     recorded = recorded_markers(scene, run, predict(model, run))
     if not all(np.all(np.isfinite(line.points)) for line in scene.lines):
-        raise InputError(f"the motion of '{run.name}' is not finite: check its parameters")
-    unknown = ("recorded markers are not shown: the axes of their camera are others",)
+        raise InputError(
+            f"the motion of '{run.name}' is not finite: check the parameters of the model"
+        )
+    unknown = (
+        "recorded markers are not shown, because the axes of their camera differ from the model's",
+    )
     return Show(name, scene, recorded or {}, unknown if recorded is None else ())
 
 
@@ -252,7 +264,7 @@ def _length(metres: float) -> str:
     return f"{metres:.2f} m" if metres >= 1 else f"{1e3 * metres:.1f} mm"
 
 
-_FORCES = {"air": "largest drag on a link", "contact": "largest force of a contact"}
+_FORCES = {"air": "largest drag on a link", "contact": "largest contact force"}
 
 
 def words(show: Show, sample: int, colour: str) -> str:
@@ -269,14 +281,14 @@ def words(show: Show, sample: int, colour: str) -> str:
     if show.bands is not None:
         size = float(np.linalg.norm(show.bands.halves[sample, -1]))
         # Of a band along each axis: as likely as that where one is long, and likelier elsewhere.
-        said.append(f"tip within {_length(size)} (95 % at least)")
+        said.append(f"tip within {_length(size)} of the estimate (probability at least 95 %)")
     if (off := show.marker_error(sample)) is not None:
-        said.append(f"recorded markers off by {_length(off)} (RMS)")
+        said.append(f"RMS distance to the recorded markers {_length(off)}")
     for arrows in show.scene.arrows:
         force = float(np.max(np.linalg.norm(arrows.vectors[sample], axis=-1), initial=0.0))
         if np.any(arrows.vectors):
             said.append(f"{_FORCES.get(arrows.name, arrows.name)} {force:.3g} {arrows.unit}")
     pressures = [line.pressure[sample] for line in show.scene.lines if line.pressure is not None]
     if pressures:
-        said.append(f"pressures up to {max(pressures) / 1e5:.2f} bar")
+        said.append(f"highest muscle pressure {max(pressures) / 1e5:.2f} bar")
     return "  \n".join([*said, *(f"*{note}*" for note in show.notes)])

@@ -125,7 +125,7 @@ BODIES: dict[str, Colour] = {
     "green": (110, 165, 95),
     "purple": (165, 110, 175),
 }
-"""Of the balloons of one show after the other."""
+"""Colours of the balloons, one for each show in turn."""
 
 # From an empty muscle to the highest pressure: blue, white, red would vanish on the page.
 EMPTY: Colour = (70, 90, 160)
@@ -310,15 +310,15 @@ def joints(scene: Scene, sample: int) -> tuple[np.ndarray, np.ndarray]:
 
 LAYERS = {
     "balloons": "balloons",
-    "muscles": "muscles, by pressure",
-    "markers": "markers of the model",
+    "muscles": "muscles, coloured by pressure",
+    "markers": "simulated markers",
     "recorded": "recorded markers",
-    "bands": "bands of 95 % about the ends of links",
-    "air": "drag of the air",
-    "contact": "contact",
+    "bands": "95 % regions of the ends of links",
+    "air": "air drag",
+    "contact": "contact forces",
     "surroundings": "surroundings",
 }
-"""What can be hidden, a folder of each show's scene, and what it is called."""
+"""Layers that can be hidden: the folder in the scene of each show, and the label."""
 
 _BATCHED = ("batched_positions", "batched_wxyzs", "batched_scales", "batched_colors")
 
@@ -496,7 +496,7 @@ class Stage:
 _GAP, _DISTANCE = 0.25, 1.0
 
 VIEWED_FROM = np.array([0.25, -1.0, 0.3])
-"""The direction of the camera: from the right, a little from above."""
+"""Direction from the scene to the camera: from the right, slightly from above."""
 
 _FIELD = 0.75  # vertical angle of view, rad
 

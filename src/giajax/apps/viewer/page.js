@@ -1,5 +1,5 @@
 "use strict";
-// Beside the scene of viser: a camera that shows all of the arm in any window, a legend, and a plot.
+// Additions to the scene of viser: a camera that shows the whole arm in any window, a legend and a plot.
 (() => {
 const about = JSON.parse(document.getElementById("about").textContent);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -27,9 +27,9 @@ function fit() {
   // Another version of viser may lack these: its page starts with a camera that suits most windows.
   if (!viewer?.cameraControl || !viewer.canvas || !root) return;
   const [width, height] = [viewer.canvas.clientWidth, viewer.canvas.clientHeight];
-  // A legend in a corner leaves the arm its place; one across a narrow window does not.
+  // A legend in a corner leaves room for the arm; a legend across a narrow window does not.
   const covered = aside.offsetWidth > 0.6 * width ? aside.offsetHeight : 0, key = [width, height, covered, viewer.camera.fov, points].join();
-  // The message with viser's own first camera may come after the first fit.
+  // The message with viser's own initial camera may arrive after the first fit.
   const stands = placed && placed.every((part, k) => Math.abs(part - viewer.camera.position.toArray()[k]) < 1e-3);
   if (moved || !width || (key === fitted && stands)) return;
   fitted = key;
@@ -47,12 +47,15 @@ function fit() {
   control.setPosition(...placed, false);
   control.setTarget(...turned(root.wxyz, place(far)), false);
 }
-document.addEventListener("pointerdown", (event) => {
-  if (event.target.localName === "canvas" && !aside.contains(event.target)) moved = true;
+document.addEventListener("pointermove", (event) => {
+  if (event.buttons && event.target.localName === "canvas" && !aside.contains(event.target)) moved = true;
 });
-document.addEventListener("keydown", (event) => { if (/^(Key[WASDQE]|Arrow)/.test(event.code)) moved = true; });
+document.addEventListener("keydown", (event) => {
+  const control = event.target.closest?.("input, select, button, [role=slider]");
+  if (!control && /^(Key[WASDQE]|Arrow)/.test(event.code)) moved = true;
+});
 document.addEventListener("wheel", (event) => { if (event.target.localName === "canvas") moved = true; });
-// Of a page around this one, whose arm goes where it has not been.
+// Called by an enclosing page when its arm reaches new positions.
 window.showAll = (more) => { points = more; fit(); };
 
 // ---- the legend
@@ -69,10 +72,18 @@ for (const [colour, text] of about.legend) {
   element("i", {}, row).style.background = colour;
   row.append(text);
 }
-element("button", { type: "button", textContent: "fit the view",
-  onclick: () => { moved = false; fitted = ""; fit(); } }, aside);
+element("button", { type: "button", textContent: "show the whole arm", onclick: async () => {
+  moved = false;
+  fitted = "";
+  if (about.live) {
+    // The pose or the place of the arm may have changed since the page was loaded.
+    const page = new DOMParser().parseFromString(await (await fetch(location.href)).text(), "text/html");
+    points = JSON.parse(page.getElementById("about").textContent).points;
+  }
+  fit();
+} }, aside);
 
-// ---- the plot: what was recorded as dots, and a line at the time that is shown
+// ---- the plot: recorded values as dots, and a vertical line at the current time
 const COLOURS = ["#0072b2", "#d55e00", "#009e73"];
 let canvas = null, choice = null, drawn = "";
 if (about.plots.length) {
@@ -91,7 +102,7 @@ function ticks(low, high, count) {
 function draw() {
   if (!canvas || !aside.open) return;
   const value = document.querySelector("[role=slider]")?.ariaValueNow;
-  const time = about.first + Number(value ?? 0) - (about.live ? about.first : 0);
+  const time = about.live ? Number(value ?? about.first) : about.first + Number(value ?? 0);
   const [width, height] = [canvas.clientWidth, canvas.clientHeight], ratio = devicePixelRatio;
   const key = [time, width, height, choice.selectedIndex].join();
   if (key === drawn || !width) return;
@@ -139,7 +150,7 @@ function draw() {
   line(across(time), box.top, across(time), box.bottom);
 }
 
-// The panel of viser shows its address, which has the token in it, to whoever looks on.
+// The panel of viser shows its address, and with it the token, to everybody who sees the screen.
 const hide = () => document.querySelectorAll("input").forEach((input) => {
   if (/^wss?:/.test(input.value)) input.style.display = "none";
 });

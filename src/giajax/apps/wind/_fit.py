@@ -95,11 +95,13 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
     if not found.converged:
         notes.append(
             "the fit did not end at a maximum, so its standard errors are not reliable: start with "
-            "better values, or fix more of them"
+            "better initial values, or fix more parameters"
         )
     for name, error in zip(found.free, errors, strict=True):
         if error > OPEN:
-            notes.append(f"{name} is not determined: fix it, or record longer or more links")
+            notes.append(
+                f"{name} is not determined by the data: fix it, record longer, or record more links"
+            )
     for one, other in itertools.combinations(range(len(found.free)), 2):
         together = covariance[one, other] / (errors[one] * errors[other])
         if abs(together) > _TOGETHER:
@@ -109,47 +111,51 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
             what = "ratio" if sign > 0 else "product"
             notes.append(
                 f"{found.free[one]} and {found.free[other]} are correlated (correlation "
-                f"{together:.2f}): their {what} is known to {known:.1%}"
+                f"{together:.2f}): their {what} has a relative uncertainty of {known:.1%}"
             )
     if abs(found.misfit[0] - 1) > _OFF * found.misfit[1]:
         much = "larger" if found.misfit[0] > 1 else "smaller"
         notes.append(
             f"the spectra are {found.misfit[0]:.2f} times their expected value, {much} than by "
-            "chance: arm, noise or wind differ from the assumed ones, and the standard errors do "
-            "not include this"
+            "chance: the arm, the noise or the wind differs from the model, and the standard "
+            "errors do not include this"
         )
     if expects.use_mean:
         off = np.abs(found.means[0] - found.means[1]) / found.means[2]
         if np.max(off) > _ASIDE:
             notes.append(
-                f"the mean of a channel is {np.max(off):.0f} standard errors off: the direction of "
-                "the wind or the rest position of the model is wrong; free the direction, or "
-                "leave the means out"
+                f"the mean of a channel differs from the model by {np.max(off):.0f} standard "
+                "errors: the direction of the wind or the rest position of the model is wrong; "
+                "free the direction, or do not use the means"
             )
     else:
         notes.append(
-            "the resting position was not used, so the mean flow is estimated only from the speed "
-            "at which gusts pass"
+            "the rest position was not used, so the mean wind is estimated only from the speed "
+            "at which gusts pass the arm"
         )
     gusts = expects.lasts * found.wind.speed / found.wind.length_scale
     if gusts < _GUSTS:
         notes.append(
-            f"the record is {gusts:.0f} times as long as a gust, and standard errors are "
-            "approximate below {_GUSTS}"
+            f"the record lasts only {gusts:.0f} times as long as a gust, and the standard errors "
+            f"are approximate below {_GUSTS}"
         )
     if found.swing > _SWINGS:
         notes.append(
-            f"a joint swings by {np.rad2deg(found.swing):.0f} deg, and its response is not linear"
+            f"a joint swings by {np.rad2deg(found.swing):.0f} deg, so its response is not linear"
         )
     if found.left_out:
-        notes.append(f"left out because their response is not linear: {', '.join(found.left_out)}")
+        notes.append(
+            f"channels omitted because their response is not linear: {', '.join(found.left_out)}"
+        )
     if settled := expects.record.settled:
         notes.append(
             f"the first {settled:.3g} s, which differ from the rest or precede the last command, "
-            "were left out: a skip of 0 keeps them"
+            "were omitted: set skip to 0 to keep them"
         )
     if filled := expects.record.filled:
-        notes.append(f"{filled:.1%} of the cells were empty and are filled by straight lines")
+        notes.append(
+            f"{filled:.1%} of the cells were empty and were filled by linear interpolation"
+        )
     return tuple(notes)
 
 
@@ -272,12 +278,17 @@ def fit_wind(
     strange = [name for name in free if name not in NUMBERS]
     if strange or not free:
         raise InputError(
-            f"free is {', '.join(free) or 'empty'}: give at least one of {', '.join(NUMBERS)}"
+            f"the free parameters are {', '.join(free) or 'none'}: give at least one of "
+            f"{', '.join(NUMBERS)}"
         )
     if "decay" in free and not decay > 0:
-        raise InputError("the decay is free and begins at 0: give a positive one")
+        raise InputError(
+            "the decay is free, but its initial value is 0: give a positive initial value"
+        )
     if model.arm.air.wind_field is not None:
-        raise InputError("the arm has a wind field, and a wind is to be fitted: leave one out")
+        raise InputError(
+            "the arm has a wind field, but a wind is to be fitted: remove the wind field"
+        )
     own = model.arm.air.wind
     if mean is None:
         mean = run.definition.section(WindSection).velocity_m_per_s
@@ -317,7 +328,7 @@ def _straight(model: ArmModel, record: Resting, wind: Turbulence) -> Resting:
     bent = WindModel(model, record, use_mean=False).bent(wind) > _BENT
     if bent.all():
         raise InputError(
-            "no channel has a linear response in this wind: record other channels, or start with a "
+            "no channel has a linear response in this wind: record other channels, or start from a "
             "weaker wind"
         )
     return record.of(np.flatnonzero(~bent).tolist())

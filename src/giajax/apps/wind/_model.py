@@ -13,7 +13,7 @@ from ._record import TAPERS, Resting, bands
 from ._response import Linear, Turbulence, at_rest, channel_spectra, motion_covariances
 
 NUMBERS = ("speed", "deviation", "length_scale", "decay", "heading", "climb")
-"""What a wind has, in the order of a result."""
+"""Numbers that describe a wind, in the order of a result."""
 
 UNITS = {"speed": "m/s", "deviation": "m/s", "length_scale": "m", "decay": ""}
 UNITS |= {"heading": "rad", "climb": "rad"}
@@ -81,20 +81,20 @@ def first_guess(
     flow = np.zeros(3) if mean is None else np.asarray(mean, float)
     if flow.shape != (3,) or not np.all(np.isfinite(flow)) or not np.any(flow):
         raise InputError(
-            "no mean wind is stated to begin with, or one that is 0, about which drag has no "
-            "slope: give its rough velocity, three numbers in m/s"
+            "the initial mean wind is missing or 0, where drag has no "
+            "slope: give an approximate velocity, three numbers in m/s"
         )
     parts = np.asarray(intensity, float)
     sound = np.all(np.isfinite(parts) & (parts >= 0))
     if parts.shape not in ((), (3,)) or not sound or not parts.flat[0] > 0:
         raise InputError(
-            f"the intensity to begin with is {np.array2string(parts)}: give one number or three, "
+            f"the initial intensity is {np.array2string(parts)}: give one number or three, "
             "the first of them positive"
         )
     if not (0 < length_scale < np.inf and 0 <= decay < np.inf):
         raise InputError(
-            f"the length scale to begin with is {length_scale:g} m and the decay {decay:g}: give "
-            "a positive one, and one of at least 0"
+            f"the initial length scale is {length_scale:g} m and the initial decay {decay:g}: give "
+            "a positive length scale, and a decay of at least 0"
         )
     along, level, up = np.broadcast_to(parts / parts.flat[0], 3).tolist()
     deviation = float(parts.flat[0] * np.linalg.norm(flow))
@@ -300,7 +300,7 @@ class WindModel:
         else:
             raise InputError(
                 "the gusts and the arm's motion in them are too strong to be linearised about its "
-                "rest: begin with a weaker wind"
+                "rest: start from a weaker wind"
             )
         self._angles, self._spread = angles, spread
         return here, covariance, places

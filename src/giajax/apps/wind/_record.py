@@ -129,19 +129,19 @@ def resting(
     joints = model.arm.joints
     if joints.further_laws.rows or (joints.friction is not None and np.any(joints.friction)):
         raise InputError(
-            "the arm has friction or joints with memory, which stick in small gusts and have no "
-            "slope at rest: leave them out of [arm]"
+            "the arm has friction or joints with memory, which stick in small gusts and cannot be "
+            "linearised at rest: remove them from [arm]"
         )
     run.require_observations()
     for name in run.observations:
         if (run.channels[name].index or 0) > model.arm.count:
             raise InputError(
-                f"'{run.name}' has {name}, but the arm has {model.arm.count} links: give the arm "
-                "that was recorded"
+                f"'{run.name}' has {name}, but the arm has only {model.arm.count} links: give the "
+                "arm that was recorded"
             )
         if model.sensors.of_row(run.channels[name].kind) is not None:
             raise InputError(
-                f"'{run.name}' has {name}, of which there are no spectra here: leave it out with "
+                f"'{run.name}' has {name}, for which no spectrum can be computed: exclude it with "
                 "--channels"
             )
     settled = _settled(run, run.times) if skip is None else 0.0
@@ -150,28 +150,28 @@ def resting(
     times = run.times[kept]
     if not 0 <= skip < np.inf or len(times) < 2:
         raise InputError(
-            f"{skip:g} s are to be skipped of '{run.name}', which lasts {np.ptp(run.times):g} s: "
-            "give at least 0 s and less than that"
+            f"skip is {skip:g} s, but '{run.name}' lasts {np.ptp(run.times):g} s: "
+            "give at least 0 s and less than the duration"
         )
     steps = np.diff(times)
     interval = float(np.ptp(times) / len(steps))
     if np.max(np.abs(steps - interval)) > _UNEVEN * interval:
         raise InputError(
-            f"'{run.name}' has steps of {steps.min():.4g} to {steps.max():.4g} s between its rows, "
-            "but a spectrum needs even ones: sample it again"
+            f"the sampling intervals of '{run.name}' are {steps.min():.4g} to {steps.max():.4g} s, "
+            "but a spectrum needs equal intervals: resample the run"
         )
     resolved = RESOLVED / (2 * interval)
     top = resolved if highest is None else highest
     if not 0 < top <= 2 * resolved:
         raise InputError(
-            f"the highest frequency is {top:g} Hz: give a positive one of at most "
-            f"{2 * resolved:g} Hz, which is half of the rows of '{run.name}' in a second"
+            f"the highest frequency is {top:g} Hz: give a positive frequency of at most "
+            f"{2 * resolved:g} Hz, half the sampling rate of '{run.name}'"
         )
     least = (_FEWEST + 1) * (TAPERS + 1) / top
     if np.ptp(times) < least:
         raise InputError(
             f"'{run.name}' rests for {np.ptp(times):.4g} s, too short for spectra up to {top:g} "
-            f"Hz: give at least {least:.4g} s, and many times what a gust lasts"
+            f"Hz: give at least {least:.4g} s, and many times the duration of a gust"
         )
     values, filled = _filled(run, kept, times)
     return Resting(
@@ -241,8 +241,8 @@ def _command(model: ArmModel, run: Run, kept: np.ndarray) -> np.ndarray:
         moved = float(np.ptp(column[kept]))
         if moved > _STILL:
             raise InputError(
-                f"{name} of '{run.name}' moves by {moved:.3g}, but the arm has to rest under "
-                "constant commands: cut the run, or leave out its beginning with skip"
+                f"{name} of '{run.name}' moves by {moved:.3g}, but the arm must rest under "
+                "constant commands: shorten the run, or omit its beginning with skip"
             )
         if channel.kind != "joint_command" and np.any(column[kept]):
             raise InputError(
@@ -252,8 +252,8 @@ def _command(model: ArmModel, run: Run, kept: np.ndarray) -> np.ndarray:
         if channel.kind == "joint_command" and channel.index is not None:
             if channel.index > len(command):
                 raise InputError(
-                    f"'{run.name}' drives joint {channel.index}, but the arm has {len(command)} "
-                    "joints: give a longer arm"
+                    f"'{run.name}' drives joint {channel.index}, but the arm has only "
+                    f"{len(command)} joints: give a longer arm"
                 )
             command[channel.index - 1] = column[kept][0]
     return command
@@ -267,8 +267,9 @@ def _filled(run: Run, kept: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, 
         gaps = empty[:, index]
         if gaps.mean() > _MISSING:
             raise InputError(
-                f"{name} of '{run.name}' is empty in {gaps.mean():.0%} of its rows, and a spectrum "
-                f"has at most {_MISSING:.0%} filled: leave the channel out, or cut the run"
+                f"{name} of '{run.name}' is empty in {gaps.mean():.0%} of its rows, but for a "
+                f"spectrum at most {_MISSING:.0%} may be filled: omit the channel, or shorten the "
+                "run"
             )
         table[gaps, index] = np.interp(times[gaps], times[~gaps], table[~gaps, index])
     return table, float(empty.mean())
@@ -280,7 +281,7 @@ def _delay(model: ArmModel, run: Run, name: str) -> float:
     if of.clock_rate is not None and float(of.clock_rate):
         raise InputError(
             f"the clock of {name} has a rate of {float(of.clock_rate):g}, but spectra need exact "
-            "clocks: correct time_s, and leave clock_rate out"
+            "clocks: correct time_s, and remove clock_rate"
         )
     delay = of.delay
     if channel.quantity == "pixel":

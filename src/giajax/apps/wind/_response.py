@@ -173,15 +173,15 @@ def at_rest(
         raise InputError(
             "no equilibrium of the arm was found in a mean wind of "
             f"{np.array2string(mean, precision=3)} "
-            "m/s: begin with a weaker one"
+            "m/s: start from a weaker wind"
         )
     joints = len(found.x)
     motion = np.block([[np.zeros((joints, joints)), np.eye(joints)], [here.by_angle, here.by_rate]])
     if np.max(np.linalg.eigvals(motion).real) > 0:
         raise InputError(
             f"the arm does not stay at its rest in a mean wind of "
-            f"{np.array2string(mean, precision=3)} m/s, so its motion has no spectrum: start with "
-            "a weaker wind, or correct stiffness and gravity"
+            f"{np.array2string(mean, precision=3)} m/s, so its motion has no spectrum: start from "
+            "a weaker wind, or correct the stiffness and gravity of the arm"
         )
     return found.x, here
 

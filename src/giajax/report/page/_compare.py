@@ -64,13 +64,14 @@ def _verdict(found: Contrast, apart: Sequence[str]) -> tuple[str, str]:
             "nothing is compared"
         )
     agree = (
-        "No parameter that both determine differs from the first result by more than "
+        "No parameter that both results determine differs from the first result by more than "
         f"{_DIFFERENT:g} joint standard errors"
     )
     if alone:
         return (
             "doubtful",
-            f"{agree}, but it has no parameter in common with {', '.join(some_of(alone))}",
+            f"{agree}, but the first result has no parameter in common with "
+            f"{', '.join(some_of(alone))}",
         )
     if any(column.status != "converged" for column in found.columns):
         return "doubtful", f"{agree}, but not every fit has converged"

@@ -110,7 +110,7 @@ def _of_the_model(result: FitResult) -> list[str]:
     for row in [] if doubted else significant(result)[:1]:
         of_model = row.kind not in ("axes", "columns", "points", "outliers")
         held = ", which the model fixes or omits" * of_model
-        said.append(f"the residuals suggest most strongly {row.path}{held}")
+        said.append(f"the most significant suspect is {row.path}{held}")
     return said
 
 
@@ -118,7 +118,7 @@ def _undetermined(result: FitResult) -> list[str]:
     without = [path for path, one in result.free.items() if one.standard_error is None]
     if not without:
         return []
-    return [f"the data do not determine {', '.join(without)}: do not use its value"]
+    return [f"the data do not determine {', '.join(without)}: do not use the fitted values"]
 
 
 def _held_numbers(result: FitResult) -> list[str]:
@@ -180,12 +180,13 @@ def _computation(result: FitResult) -> list[str]:
         said.append("the effect of a smaller solver tolerance was not checked")
     if largest is not None and largest > _NOTABLE:
         said.append(
-            f"a smaller tolerance of the solver would change a value by {largest:.2g} errors"
+            f"a smaller tolerance of the solver would change a value by {largest:.2g} standard "
+            "errors"
         )
     if _has_wrong_derivatives(result):
         said.append(
-            "the derivatives disagree with finite differences, so the fit may have ended away from "
-            "the optimum"
+            "the derivatives of the model disagree with finite differences, so the fit may have "
+            "ended away from the optimum"
         )
     return said
 

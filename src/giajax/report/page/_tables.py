@@ -101,13 +101,22 @@ def noise_table(result: FitResult) -> Table:
             if c.correlated:
                 memory = f"{c.correlated:.3g} over {c.correlation_time_s:.3g} s"
             rows.append([run.name, name, *size, ratio, memory])
-    headings = ["run", "channel", "unit", "values", "RMSE", "noise", "RMSE / noise", "with memory"]
+    headings = [
+        "run",
+        "channel",
+        "unit",
+        "values",
+        "RMSE",
+        "noise",
+        "RMSE / noise",
+        "correlated noise",
+    ]
     return Table(headings, rows, 3)
 
 
 def held_out_table(result: FitResult) -> Table:
     """What was held out, and how far off its prediction is."""
-    return _errors(result.held_out, "error over expected error", lambda c: _number(c.size, "-"))
+    return _errors(result.held_out, "error / expected error", lambda c: _number(c.size, "-"))
 
 
 def validation_table(result: FitResult) -> Table:
@@ -156,7 +165,7 @@ def optima_table(result: FitResult) -> Table:
     ]
     nothing = ["-"] * (1 + len(paths))
     rows += [[why, str(count), *nothing] for why, count in lost_starts(result).items()]
-    return Table(["ended at", "starts", "worse by (log-likelihood)", *headings], rows, 1)
+    return Table(["optimum or reason", "starts", "decrease of log-likelihood", *headings], rows, 1)
 
 
 def own_table(result: FitResult) -> Table:
@@ -180,7 +189,7 @@ def file_rows(result: FitResult) -> Table:
     rows |= {record.path: record.sha256 for record in result.held_out if record.path}
     listed = {**rows, **result.task.get("inputs", {})}
     # A recording without a sidecar: that there was none is a part of what was fitted.
-    files = [[str(path), str(sha or "there was no such file")] for path, sha in listed.items()]
+    files = [[str(path), str(sha or "file did not exist")] for path, sha in listed.items()]
     return Table(["file", "SHA-256"], files, 2)
 
 
