@@ -226,5 +226,5 @@ def test_a_fit_by_it_is_written_and_read(tmp_path):
     assert_allclose(again.predict(run)["link01_z"], result.predict(run)["link01_z"], atol=1e-12)
     record = json.loads((tmp_path / "result.json").read_text().replace("Known()", "Unknown()"))
     (tmp_path / "result.json").write_text(json.dumps(record))
-    with pytest.raises(InputError, match="there is no solver Unknown: give one of diffrax"):
+    with pytest.raises(InputError, match="the solver Unknown is unknown: give a diffrax solver"):
         giajax.load_result(tmp_path)
