@@ -29,7 +29,7 @@ NAMES = {
 @pytest.mark.parametrize("name", MOVED)
 def test_a_module_that_has_moved_warns_and_has_its_names(name, monkeypatch):
     monkeypatch.delitem(sys.modules, f"giajax.{name}", raising=False)
-    with pytest.warns(DeprecationWarning, match=f"giajax.{name} is giajax.*until {UNTIL}"):
+    with pytest.warns(DeprecationWarning, match=f"giajax.{name} is now giajax.*until {UNTIL}"):
         module = importlib.import_module(f"giajax.{name}")
     places = [importlib.import_module(f"giajax.{place}") for place in MOVED[name]]
     wanted = NAMES[name]
@@ -43,9 +43,9 @@ def test_it_is_found_as_an_attribute_and_by_its_names(monkeypatch):
         monkeypatch.delitem(sys.modules, f"giajax.{name}", raising=False)
         # Without a look at the attribute, which would import it.
         monkeypatch.delitem(vars(giajax), name, raising=False)
-    with pytest.warns(DeprecationWarning, match=r"giajax\.study is giajax\.studies"):
+    with pytest.warns(DeprecationWarning, match=r"giajax\.study is now giajax\.studies"):
         assert giajax.study.profile is giajax.profile
-    with pytest.warns(DeprecationWarning, match="recordings now") as told:
+    with pytest.warns(DeprecationWarning, match="is now giajax.recordings") as told:
         from giajax.runs import read_run
     assert told[0].filename == __file__
     assert read_run is giajax.read_run
@@ -58,7 +58,7 @@ def test_a_name_that_has_moved_or_changed_warns(room):
         warnings.simplefilter("ignore", DeprecationWarning)
         module = importlib.import_module(f"giajax.{room}".rstrip("."))
     for before, now in RENAMED[room].items():
-        with pytest.warns(DeprecationWarning, match=f"{room}.{before} is giajax.{now}") as told:
+        with pytest.warns(DeprecationWarning, match=f"{room}.{before} is now giajax.{now}") as told:
             found = getattr(module, before)
         assert told[0].filename == __file__
         where, _, name = now.rpartition(".")

@@ -266,7 +266,7 @@ def test_a_fit_of_several_kinds_one_of_which_is_ones_own_is_loaded():
     loaded = giajax.models.build_model(model.kind, stored, {})
     assert [part.kind for part in loaded.parts] == ["muscle", "kite", "balloon"]
     needs = balloon(kind="needs", channels=row("needs", "length"), __annotations__={"size": float})
-    with pytest.raises(giajax.InputError, match="the model Balloon is not made from its defaults"):
+    with pytest.raises(giajax.InputError, match="the model Balloon cannot be made from defaults"):
         needs.for_runs(runs)
 
 

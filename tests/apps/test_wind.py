@@ -241,7 +241,7 @@ def test_the_gradient_is_that_of_the_likelihood():
         ({"mean": None}, "the initial mean wind"),
         ({"mean": [0.0, 0.0, 0.0]}, "the initial mean wind"),
         ({"free": ["colour"]}, "the free parameters are colour"),
-        ({"jitter": 0.05}, "even"),
+        ({"jitter": 0.05}, "equal"),
         ({"gaps": 100}, "empty in"),
         ({"channel": "link05_z"}, "has link05_z, but"),
         ({"channel": "link02_inclination"}, "for which no spectrum can be computed"),

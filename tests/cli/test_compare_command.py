@@ -84,9 +84,9 @@ def test_bic_is_there_for_the_same_data_noise_and_loss(folder, capsys):
     ("name", "why"),
     [
         ("other", "different data"),
-        ("white", "another noise:"),
-        ("robust", "another loss:"),
-        ("prior", "another prior:"),
+        ("white", "differ in the assumed noise:"),
+        ("robust", "differ in the assumed loss:"),
+        ("prior", "differ in the assumed prior:"),
     ],
 )
 def test_what_cannot_be_compared_is_said(folder, capsys, name, why):
@@ -126,7 +126,7 @@ def test_what_agrees_is_good_and_nothing_in_common_is_not(folder, tmp_path, caps
     assert "run_v1.3 - run_v1.2" in capsys.readouterr().out
     parsed = Page(page.read_bytes())
     assert ("section", "verdict good") in [(tag, of.get("class")) for tag, of in parsed.tags]
-    assert "No parameter that both determine differs" in parsed.text
+    assert "No parameter that both results determine differs" in parsed.text
     joint = Path(__file__).resolve().parents[1] / "earlier" / "joint"
     assert main(["compare", again[0], str(joint), "--page", str(page), "--force"]) == 0
     parsed = Page(page.read_bytes())

@@ -119,7 +119,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
     asked = (*asked, "--fix", "muscle.end_correction=1.5", "--max-steps", "0", "--quiet")
     status, _, error = giajax(*asked)
     assert status == 2
-    assert "why/fits holds files that do not belong to an explanation" in error
+    assert "why/fits contains files that do not belong to an explanation" in error
     with monkeypatch.context() as without:
         without.setattr("giajax.report._pages._NEEDED", ("markdown_of_nobody",))
         status, _, error = giajax(*asked[:5])

@@ -96,7 +96,7 @@ BAD = {
     "too large": ("skin_slack = 0.5", "= 0.5 must be a number between 0 and 0.1"),
     "no supply": ('supply = "pump"', 'must be "flow", "regulator" or "bottle"'),
     "not neighbours": ("shared = [[1, 3]]", "the links [1, 3] share a bag, but must be neighbours"),
-    "no such link": ("shared = [[20, 21]]", "but the arm has 20 links: correct the number"),
+    "no such link": ("shared = [[20, 21]]", "but the arm has only 20 links: correct the number"),
     "link zero": ("shared = [[0, 1]]", "must be a list of lists of link numbers"),
     "too many ports": ("port_diameter_mm = [8.0, 9.0]", "the ports have 2 values of diameter, but"),
 }

@@ -38,7 +38,7 @@ def test_bounds_ties_and_groups():
         (words.priors, ["a=1e999+-2"], "must be PATH=VALUE"),
         (words.priors, ["1.1+-2"], r"--prior '1.1\+-2' must be PATH=VALUE\+-DEVIATION, or"),
         (words.priors, ["a=1+-0"], r"is not valid, because the deviation of the prior is 0: give"),
-        (words.priors, ["a=1x/0.5"], "the factor 0.5: give a number above 1"),
+        (words.priors, ["a=1x/0.5"], "the factor of the prior is 0.5: give a number above 1"),
         (words.priors, ["a=1+-1", "a=1x/2"], "--prior gives a twice: remove one"),
         (words.bounds, ["a=1"], "--bounds 'a=1' must be PATH=LOW,HIGH with two numbers"),
         (words.bounds, ["a=1,2,3"], "must be PATH=LOW,HIGH"),

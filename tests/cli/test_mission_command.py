@@ -63,18 +63,18 @@ def test_a_mission_and_many(tmp_path, capsys):
         (("--speed", "-1"), "--speed is -1: give a number of at least 0"),
         (
             ("--speed", "0.1", "--cases", "3"),
-            "--speed applies to a single mission: leave --cases out",
+            "--speed applies to a single mission: omit --cases",
         ),
         (("--cases", "3", "--speeds", "a,b"), "--speeds is 'a,b': give numbers of at least 0"),
         (
             ("--cases", "3", "--page", "x.html"),
-            "--page applies to a single mission: leave --cases out",
+            "--page applies to a single mission: omit --cases",
         ),
         (("--controller", "pid"), "the controller is 'pid': give one of operator, mpc"),
         (("--keep-station", "0"), "--keep-station is 0: give seconds from 1 to 3600"),
         (
             ("--keep-station", "9", "--cases", "3"),
-            "--keep-station applies to a single mission: leave --cases",
+            "--keep-station applies to a single mission: omit --cases",
         ),
     ],
 )

@@ -126,7 +126,7 @@ def test_what_an_arm_file_or_preset_switches_on_is_on(capsys, tmp_path):
     assert main(["parameters", "--preset", "none"]) == 2
     assert "no arm preset 'none'" in capsys.readouterr().err
     assert main(["parameters", "--preset", "chain", "--links", "2"]) == 2
-    assert "has no links.length (link_length_m), links.diam" in capsys.readouterr().err
+    assert "lacks links.length (link_length_m), links.diam" in capsys.readouterr().err
 
 
 RUN = """\

@@ -52,11 +52,11 @@ def test_profiles_are_written_added_to_and_shown(fit, capsys):
 
     # Those of another level, and of another fit, are not written over, and not shown.
     assert main(["profile", str(fit), "--parameter", free[0], "--level", "0.9"]) == 2
-    assert "of the level 0.95: give --force to overwrite it" in capsys.readouterr().err
+    assert "belongs to the level 0.95: give --force to overwrite it" in capsys.readouterr().err
     record = json.loads((fit / "profiles.json").read_text())
     (fit / "profiles.json").write_text(json.dumps({**record, "fit": "0"}))
     assert main(["profile", str(fit), "--parameter", free[0]]) == 2
-    assert "is of another fit: give --force" in capsys.readouterr().err
+    assert "belongs to another fit: give --force" in capsys.readouterr().err
     assert main(["report", str(fit), "--page", str(page), "--quiet", "--force"]) == 0
     assert "profiles" not in Page(page.read_bytes()).headings
 
@@ -64,8 +64,8 @@ def test_profiles_are_written_added_to_and_shown(fit, capsys):
 def test_what_cannot_be_profiled_is_one_sentence(fit, tmp_path, capsys):
     for words, sentence in [
         ([str(tmp_path)], "does not exist: give the folder of a finished fit"),
-        ([str(fit), "--level", "95"], "the level is 95: give one between 0 and 1, such as 0.95"),
-        ([str(fit), "--parameter", "muscle.hat"], "'muscle.hat' was not free in this fit"),
+        ([str(fit), "--level", "95"], "the level is 95: give a level between 0 and 1, such as 0.95"),
+        ([str(fit), "--parameter", "muscle.hat"], "'muscle.hat' was neither free in this fit"),
     ]:
         assert main(["profile", *words, "--force"]) == 2
         assert sentence in capsys.readouterr().err

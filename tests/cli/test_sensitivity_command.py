@@ -35,8 +35,8 @@ def test_a_planned_run_has_a_picture_and_two_tables(tmp_path, capsys):
     [
         (["--parameter", "air.drag"], "'air.drag_coefficient'"),
         ([*DRAG, "--noise", "position_m=0"], "positive"),
-        ([*DRAG, "--step", "1=3", "--command", "x.csv"], "one of them"),
-        ([*DRAG, "--data", "none.csv", "--wind", "0,0,1"], "leave out"),
+        ([*DRAG, "--step", "1=3", "--command", "x.csv"], "only one source"),
+        ([*DRAG, "--data", "none.csv", "--wind", "0,0,1"], "omit the options"),
     ],
 )
 def test_one_sentence(tmp_path, capsys, options, words):

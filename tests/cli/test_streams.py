@@ -48,7 +48,7 @@ def shell(line, **variables):
 
 LOST = (
     "giajax: standard output cannot be written (No space left on device): the rest of the output "
-    "is lost, and the files that were written are complete\n"
+    "is lost, but all files that were written are complete\n"
 )
 
 

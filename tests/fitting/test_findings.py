@@ -177,7 +177,7 @@ def test_the_one_sided_interval_is_where_the_cost_says():
         return least_squares(rows, [2.0, 0.3]).cost
 
     reach = brentq(lambda decay: cost(decay) - cost(0.7) - 1.645**2 / 2, 0.6, 0.7)
-    shown = re.search(r"upper bound 0.7, and at least ([\d.]+) \(one-sided", finding.sentence)
+    shown = re.search(r"upper bound 0.7; its value is at least ([\d.]+) \(one-sided", finding.sentence)
     assert float(shown[1]) == pytest.approx(reach, abs=6e-4)
     assert 0.68 < reach < 0.7
 
@@ -201,7 +201,7 @@ def test_curvature_is_that_of_the_cost():
     best = minimize_scalar(cost, bounds=(1, 3), method="bounded", options={"xatol": 1e-8}).x
     sides = [cost(best + sign * step * error) - cost(best) for sign in (1, -1)]
     skew = (sides[0] - sides[1]) / (sides[0] + sides[1]) / step
-    shown = re.search(r"against the other by ([-+]\d+)%", finding.sentence)
+    shown = re.search(r"two sides differ by ([-+]\d+)%", finding.sentence)
     # The third derivative of the residuals, which is left out, counts where noise is large.
     assert float(shown[1]) / 100 == pytest.approx(skew, abs=0.15)
     assert skew < -0.25

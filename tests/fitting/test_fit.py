@@ -276,7 +276,7 @@ def test_fewer_values_than_parameters_are_refused():
 
 def test_noise_that_was_never_estimated_is_not_said_to_be():
     result = fit(Decay(), run(state_noise=False), start=START, max_iterations=1)
-    assert "guessed" in result.message
+    assert "estimated from differences" in result.message
     assert "estimated from the residuals" not in result.message
 
 
@@ -298,7 +298,7 @@ def test_a_failing_trial_is_not_the_end():
 
 
 def test_a_start_that_fails_is_bad_input():
-    with pytest.raises(InputError, match="cannot be evaluated at the start"):
+    with pytest.raises(InputError, match="cannot be evaluated at the initial values"):
         fit(Decay(), run(), start={"decay": 8.5})
 
 

@@ -81,7 +81,7 @@ def test_a_model_that_is_right_only_at_first(loss):
     assert [reason.code for reason in wrong.verdict.reasons] == ["prediction"]
     (reason,) = wrong.verdict.reasons
     assert reason.size == wrong.held_out[0].channels["tip_z"].size > 1.5
-    assert "INADEQUATE MODEL: what was held out is " in wrong.headline
+    assert "INADEQUATE MODEL: the prediction errors of the held-out data are " in wrong.headline
     (record,) = right.held_out
     channel = record.channels["tip_z"]
     assert (record.name, channel.unit, channel.n) == ("run0", "m", 30)
@@ -196,7 +196,7 @@ def test_a_fit_that_did_not_converge_is_not_judged():
     result = solve(set_up(Decay(), runs[:1], start=START), check=False, max_iterations=1)
     # Its own residuals are judged where it ended, and what it did not see is not.
     assert result.verdict.status == "inadequate"
-    assert "no optimum" in result.verdict.reasons[-1].sentence
+    assert "not an optimum" in result.verdict.reasons[-1].sentence
     after = HoldOut(parts, set_up(Decay(), runs, start=START)).judge(result)
     assert after.verdict == result.verdict
     assert after.held_out[0].channels["tip_z"].rmse > SIGMA

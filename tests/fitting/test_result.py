@@ -117,7 +117,7 @@ def test_a_damaged_result_is_read_or_refused_in_a_sentence(tmp_path):
     ("change", "complaint"),
     [
         (lambda r: r.pop("cost"), "cost is missing"),
-        (lambda r: r["runs"][0].update(nam="x"), "runs[0].nam is not a key of this version"),
+        (lambda r: r["runs"][0].update(nam="x"), "runs[0].nam is not a key known to this version"),
         (lambda r: r["config"].update(free=3), "config.free is 3, but must be a list"),
         (
             lambda r: r["parameters"]["weights[0]"].update(value="0.8"),

@@ -287,7 +287,7 @@ def test_wrong_cameras_and_landmarks_are_one_sentence(sections, says):
 
 @pytest.mark.quick
 def test_a_camera_beyond_the_arm_is_refused_and_a_later_file_changes_one_key():
-    with pytest.raises(InputError, match=r"side\.mount is link 5, but the arm has 4 links"):
+    with pytest.raises(InputError, match=r"side\.mount is link 5, but the arm has only 4 links"):
         Run.from_arrays(
             TIMES,
             {**COMMAND, "side.tip_u": np.zeros_like(TIMES)},

@@ -265,7 +265,7 @@ FILES = {
     ),
     "more than 10,000 series": mcap(topic(), *(told(i, [f"n{i}"], [1.0]) for i in range(10_001))),
     "'/j/a\\x1b[2J\\nb' is not a valid name": mcap(topic(), told(0, ["a\x1b[2J\nb"], [1.0])),
-    "is not a valid name: it may have 1,000 letters": mcap(topic(), told(0, ["q" * 1_001], [1.0])),
+    "is not a valid name: it may have at most 1,000 characters": mcap(topic(), told(0, ["q" * 1_001], [1.0])),
     "/j/a twice": mcap(topic(), told(0, ["a", "a"], [1.0, 2.0])),
     "has 2 names but 1 values of position": mcap(topic(), told(0, ["a", "b"], [1.0])),
     "/j/a is inf in a message": mcap(topic(), told(0, ["a"], [np.inf])),
@@ -487,7 +487,7 @@ def test_a_bag_may_have_two_files_of_which_each_is_checked(tmp_path):
     found = channels_of(read_foreign(path), {"/j/a": "joint01"})
     assert list(found["joint01_angle"]) == [1, 2]
     (path / "more.mcap").write_bytes(mcap(topic(TURNED), told(1, ["a"], [2.0])))
-    with pytest.raises(InputError, match="messages of /j have another JointState"):
+    with pytest.raises(InputError, match="messages of /j have a JointState that differs"):
         read_foreign(path)
 
 

@@ -247,7 +247,7 @@ def test_options_cut_shift_turn_and_choose(tmp_path, capsys):
     """Each is of the clock and the axes of the run."""
     plain = ["--unit", "m", "--point", "elbow=link01", "--point", "tip of it=tip"]
     whole = imported(tmp_path, TRACKER, *plain)
-    assert "3 pictures, 5 points found of 6" in capsys.readouterr().out
+    assert "3 pictures, 5 of 6 points found" in capsys.readouterr().out
     later = imported(tmp_path, TRACKER, *plain, "--offset", "-0.02", "--from-time", "0.01")
     np.testing.assert_allclose(later.times, [0.02, 0.1])
     late = imported(tmp_path, TRACKER, *plain, "--until", "0.05", "--flip", "z")

@@ -109,7 +109,7 @@ def test_nothing_is_written_over_without_force(tmp_path):
         ("no/run.csv", {"joint01_command": [0, 1]}, "does not exist: create it"),
         ("run.csv", {"joint01_command": [0, 1, 2]}, "different numbers of samples"),
         ("run.csv", {"joint1_command": [0, 1]}, "did you mean 'joint01_command'"),
-        ("run.csv", {"joint01_command_deg": [0, 1]}, "call it 'joint01_command'"),
+        ("run.csv", {"joint01_command_deg": [0, 1]}, "rename it to 'joint01_command'"),
     ],
 )
 def test_what_cannot_be_written(tmp_path, name, values, message):
@@ -195,7 +195,7 @@ def test_foreign_names_are_renamed(tmp_path):
     path = csv(tmp_path, BASE.replace("link06_z_m", "Marker 6 [m]").replace("time_s", "t"))
     run = read_run(path, rename={"Marker 6 [m]": "link06_z_cm", "t": "time_s"})
     np.testing.assert_allclose(run.values["link06_z"], [0.001, np.nan, -0.003], rtol=1e-15)
-    with pytest.raises(InputError, match="has no column 'T', but t, joint01_command_deg"):
+    with pytest.raises(InputError, match="has no column 'T', but has t, joint01_command_deg"):
         read_run(path, rename={"T": "time_s"})
     with pytest.raises(InputError, match=r"'link6_z_m' is not.*did you mean 'link06_z_m'"):
         read_run(path, rename={"Marker 6 [m]": "link6_z_m"})
@@ -220,7 +220,7 @@ def test_the_sidecar_is_read_and_the_definition_wins(tmp_path):
     assert (run.definition.arm.links, run.definition.arm.link_mass_kg) == (8, 0.2)
     assert run.noise("link06_z") == 0.5
     assert "fit" not in run.definition.contents()
-    with pytest.raises(InputError, match="link 6, but the arm has 3 links"):
+    with pytest.raises(InputError, match="link 6, but the arm has only 3 links"):
         read_run(path, definition=Definition.parse({"arm": {"links": 3}}))
 
 
@@ -228,7 +228,7 @@ def test_a_changed_file_contradicts_its_checksum(tmp_path):
     path = write_run(tmp_path / "run.csv", [0, 1], {"joint01_command": [0, 1]}, definition={})
     read_run(path)
     path.write_bytes(path.read_bytes().replace(b"\n1,", b"\n2,"))
-    with pytest.raises(InputError, match=r"has the SHA-256 .* but .*run\.toml says"):
+    with pytest.raises(InputError, match=r"has the SHA-256 .* but .*run\.toml states"):
         read_run(path)
     sidecar = tmp_path / "run.toml"
     sidecar.write_text(f'sha256 = "{hashlib.sha256(path.read_bytes()).hexdigest().upper()}"')

@@ -183,7 +183,7 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
     options = ["--frame-rate", "50", "--point", "elbow=link03", "--point", "tip end=tip"]
     arguments = [str(film), *options, "--camera", "side", "--command", str(log)]
     assert main(["import", *arguments, "--to", str(first)]) == 0
-    assert "3 pictures, 4 points found of 6" in capsys.readouterr().out
+    assert "3 pictures, 4 of 6 points found" in capsys.readouterr().out
     options = ["--origin", "0,1079", "--point", "Marker 1=mark01", "--camera", "top"]
     arguments = [str(other), *options, "--command", str(first)]
     assert main(["import", *arguments, "--to", str(run)]) == 0

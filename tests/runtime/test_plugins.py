@@ -88,7 +88,7 @@ def test_results_and_workers_are_of_the_plug_in_that_was_used(tmp_path):
     versions = {"jax": "1", **sources_of(registered("drag", "UsedLaw")())}
     digest = plugins()[path]
     check_sources(versions)
-    with pytest.raises(InputError, match=r"used_law.py has changed since: give the former version"):
+    with pytest.raises(InputError, match=r"used_law.py has changed since the fit: restore the former version"):
         check_sources({"used_law.py": "sha256 0"})
     _plugins._PLUGINS.clear()
     del sys.modules["used_law"]
@@ -96,7 +96,7 @@ def test_results_and_workers_are_of_the_plug_in_that_was_used(tmp_path):
     path.write_text(LAW.format(name="UsedLaw", factor=2.0))
     with pytest.raises(InputError, match=r"used_law.py has changed while it was in use"):
         load_plugin(path, digest)
-    assert "no-such-package 2.0: install it" in hint({"no-such-package": "2.0"})
+    assert "no-such-package 2.0: install this package" in hint({"no-such-package": "2.0"})
 
 
 def test_a_class_of_that_name_in_another_file_is_not_that_of_the_result(tmp_path, monkeypatch):

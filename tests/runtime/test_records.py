@@ -77,7 +77,7 @@ def test_what_is_not_finite_is_null_and_arrays_are_lists():
         ({"parts": [{"name": "a"}]}, "parts[0].size is missing"),
         ({"parts": [{"name": 3, "size": 1}]}, "parts[0].name is 3, but must be text"),
         ({"parts": None}, "parts is null, but must be a list"),
-        ({"new": 1}, "new is not a key of this version"),
+        ({"new": 1}, "new is not a key known to this version"),
     ],
 )
 def test_the_key_that_is_wrong_is_named(change, complaint):

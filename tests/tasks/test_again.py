@@ -54,7 +54,7 @@ def test_the_same_fit_again_has_the_same_numbers(path):
     stored = stored_result("giajax-out/loops_fit/result.json")[1]
     assert compared(second, stored) == "all numbers are identical, bit for bit"
     stored["parameters"]["elastic"]["value"] *= 1 + 1e-9
-    assert "elastic differs by 1.0e-09 of its value" in compared(second, stored)
+    assert "the relative difference of elastic is 1.0e-09" in compared(second, stored)
 
 
 def test_more_starts_are_added_to_those_of_a_result(path):
@@ -120,7 +120,7 @@ def unfinished(tmp_path_factory):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda: os.rename("loops.csv", "gone.csv"), "loops.csv, which .* does not exist"),
+        (lambda: os.rename("loops.csv", "gone.csv"), "loops.csv, to which .* does not exist"),
         (lambda: append("loops.csv", "0.5,0.4\n"), "loops.csv has changed"),
         (lambda: append("other.csv", "0.5,0.4\n"), "other.csv has changed"),
         (lambda: append("loops_fit.toml", "# more\n"), "loops_fit.toml has changed"),
@@ -153,7 +153,7 @@ def test_another_file_of_a_registered_class_is_refused(unfinished, tmp_path, mon
         record = json.loads(text)
         record["versions"][Path(__file__).name] = "sha256 of another one"
         path.write_text("\n".join([json.dumps(record), *lines]))
-    sentence = "test_again.py has changed since: give the former version, or fit again"
+    sentence = "test_again.py has changed since the fit: restore the former version, or fit again"
     with pytest.raises(InputError, match=sentence):
         FitTask.again("out")
     with pytest.raises(InputError, match=sentence):
@@ -168,7 +168,7 @@ def append(name, text):
 def test_what_cannot_be_fitted_again_says_so(path):
     task = FitTask.load(path)
     written(task.on_top(budget="0s", out="short"), check=False)
-    with pytest.raises(InputError, match=r"stopped when its time was up.*--resume short"):
+    with pytest.raises(InputError, match=r"that was stopped.*--resume short"):
         FitTask.again("short")
     earlier = Path(__file__).parents[1] / "fitting" / "earlier"
     with pytest.raises(InputError, match="earlier version wrote it"):
@@ -213,7 +213,7 @@ def test_from_python_a_journal_is_gone_on_with(path):
     assert {key: after[key] for key in after if key != "task"} == {
         key: plain[key] for key in plain if key != "task"
     }
-    with pytest.raises(InputError, match=r"other settings \(it differs in loss, start\)"):
+    with pytest.raises(InputError, match=r"other settings \(different: loss, start\)"):
         task.on_top(loss="huber", start={"elastic": 0.4}).run(journal="kept")
     # The same files by other names are the same files.
     named = task.on_top(data=os.path.abspath("loops.csv"))
@@ -292,7 +292,7 @@ def test_versions_that_differ_are_said():
 
     assert version_note(versions()) == ""
     note = version_note({**versions(), "jax": "0.1"})
-    assert "jax 0.1 then" in note
+    assert "jax 0.1 before" in note
     assert "last digits" in note
 
 

@@ -140,4 +140,4 @@ def test_each_setting_is_a_keyword_and_an_option(capsys):
         assert option in shown or name in files | {"optimiser"}, option
         if field.default not in (None, False, True, [], {}):
             about = shown.rpartition(option)[0] if name in files else shown.partition(option)[2]
-            assert f"({field.default})." in about.partition(" --")[0], option
+            assert f"[default: {field.default}]" in about.partition(" --")[0], option

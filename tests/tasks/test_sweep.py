@@ -91,7 +91,7 @@ def test_the_table_of_another_plan_is_kept(swept):
     with pytest.raises(InputError, match="is the table of another plan"):
         giajax.sweep(other, out=folder / "out")
     small = {"data": [str(folder / "missing.csv")]}
-    with pytest.raises(InputError, match=r"missing\.csv does not exist"):
+    with pytest.raises(InputError, match=r"missing\.csv no longer exists"):
         giajax.sweep(small, out=folder / "other")
 
 

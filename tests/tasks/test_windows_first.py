@@ -89,7 +89,7 @@ def resting(**initial):
 def test_what_one_sentence_advises_is_no_error_of_the_next():
     with pytest.raises(InputError, match="and free = true where angles are not recorded"):
         windows(resting(), 4.0)
-    with pytest.raises(InputError, match="let the fit estimate the state with free = true"):
+    with pytest.raises(InputError, match="let the fit find the state with free = true"):
         model_for([resting(first_row=True)]).prepare(resting(first_row=True))
     run = resting(first_row=True, free=True)
     assert len(windows(run, 4.0)) == 2

@@ -228,7 +228,7 @@ def test_a_search_that_is_stopped_has_the_best_so_far():
         ({"rate": math.inf}, "the largest rate is inf: give"),
         ({"joints": ()}, "no joint is to move"),
         ({"joints": (1, 1)}, "given twice"),
-        ({"duration": 0.25}, "not a whole number"),
+        ({"duration": 0.25}, "does not give a whole number"),
         ({"duration": 1e9}, "rows: shorten"),
     ],
 )

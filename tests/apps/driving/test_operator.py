@@ -208,7 +208,7 @@ def test_the_usual_pad_bends_base_and_tip():
             "a slider refers to joint 9, but the arm has only 3 joints",
         ),
         ({"type": "joint", "joint": 1, "deg": float("nan")}, "which is not a valid angle"),
-        ({"type": "preset", "name": "up and away"}, "there is no preset 'up and away'"),
+        ({"type": "preset", "name": "up and away"}, "the preset 'up and away' does not exist"),
     ],
 )
 def test_messages_that_say_nothing(operator, message, said):

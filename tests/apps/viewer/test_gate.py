@@ -80,7 +80,7 @@ def test_nobody_else_is(page):
         with pytest.raises(HTTPError) as refused:
             read(root + wrong)
         assert refused.value.code == 403
-        assert b"a token" in refused.value.read()
+        assert b"the token" in refused.value.read()
     with pytest.raises(InvalidStatus):
         connect(f"ws://127.0.0.1:{page.port}/words")
 
