@@ -196,7 +196,7 @@ def test_what_is_no_arm_is_refused(text, error, tmp_path):
 def test_the_command_makes_a_file_of_an_arm_and_back(tmp_path, capsys):
     path, stated = written(tmp_path, "arm.xml", CAPSULES), tmp_path / "arm.toml"
     assert main(["mjcf", str(path), "--to", str(stated)]) == 0
-    assert "command these: 11.4592, 0, 0 deg" in capsys.readouterr().err
+    assert "command these angles: 11.4592, 0, 0 deg" in capsys.readouterr().err
     assert main(["mjcf", str(path), "--to", str(stated)]) == 2  # nothing is written over
     assert main(["mjcf", str(stated), "--to", str(tmp_path / "back")]) == 0
     assert main(["mjcf", str(stated)]) == 2

@@ -204,7 +204,7 @@ def test_ends_too_near_an_obstacle_are_refused_by_its_name():
     model = ArmModel(beside(arm(), BOX))
     near = np.deg2rad([20.0, 0.0, 0.0])
     for begin, pose, where in ((0 * near, near, "begins"), (near, 0 * near, "ends")):
-        with pytest.raises(InputError, match=f"where the command {where}, link 3 is .* from shelf"):
+        with pytest.raises(InputError, match=f"when the command {where}, link 3 is .* from shelf"):
             plan_command(model, Pose(pose), begin=begin)
     inside = ArmModel(beside(arm(), dataclasses.replace(BOX, centre=jnp.array([3.2, 0.0, 0.0]))))
     with pytest.raises(InputError, match=r"link 3 is 0\.28 m inside shelf"):

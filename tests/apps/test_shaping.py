@@ -165,7 +165,7 @@ def test_a_shaped_command_leaves_little_swing(short, swings):
 def test_what_cannot_be_shaped_is_refused(short):
     with pytest.raises(InputError, match="the shaper 'XY' is unknown: use one of ZV, ZVD, EI"):
         shape_command(short, moved(0.2, 3), shapers=["XY"])
-    with pytest.raises(InputError, match="of 2 joints, and the arm has 3"):
+    with pytest.raises(InputError, match="of 2 joints, but the arm has 3"):
         shape_command(short, moved(0.2, 2))
     with pytest.raises(InputError, match="the command does not move the tip"):
         shape_command(short, moved(0.0, 3))

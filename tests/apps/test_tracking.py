@@ -579,7 +579,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(whole)))
     assert main(["track", "-", *given, "--json", "--out", str(tmp_path / "some")]) == 0
     said = capsys.readouterr().err
-    named = [k for k in range(30) if f"row {k} is left out" in said]
+    named = [k for k in range(30) if f"row {k} is ignored" in said]
     assert named == [13, 14, 15, 26]
     assert (tmp_path / "some" / "recorded.csv").read_bytes() == b"".join(rows[:20])
 
@@ -595,7 +595,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
     assert main(["track", "-", *given, "--json", "--out", str(tmp_path / "turns")]) == 0
     said = capsys.readouterr().err
-    assert [k for k in range(40) if f"row {k} is left out" in said] == [6, 7, 8]
+    assert [k for k in range(40) if f"row {k} is ignored" in said] == [6, 7, 8]
     assert (tmp_path / "turns" / "track.json").exists()
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(rows[0][:-1])))
     assert main(["track", "-", *given, "--out", str(tmp_path / "no")]) == 2

@@ -102,7 +102,7 @@ BAD = {
         "roll_radius_mm = 40.0",
         "the radius of the roll is 40 mm, and the radius of its core",
     ),
-    "thick film": ("film_thickness_mm = 2.0", "a layer of the roll is 1.19 mm thick, but two film"),
+    "thick film": ("film_thickness_mm = 2.0", "a layer of the roll is only 1.19 mm thick, but two film"),
     "paid out": ("start_length_m = 30.0", "30 m are paid out at the start, but the arm is only"),
 }
 

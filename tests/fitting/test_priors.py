@@ -207,7 +207,7 @@ def test_rows_of_priors_are_rows_of_the_whole_jacobian():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"factor": 0.9}, "the factor 0.9: give a number above 1"),
+        ({"factor": 0.9}, "the factor of the prior is 0.9: give a number above 1"),
         ({}, "must have a deviation, or a factor"),
         ({"deviation": 1.0, "factor": 2.0}, "must have a deviation, or a factor"),
     ],
@@ -217,14 +217,14 @@ def test_what_is_no_prior_is_refused(options, sentence):
         Prior(1.0, **options)
     with pytest.raises(InputError, match=rf"\[fit.priors.decay\] .*{sentence}"):
         fit(Decay(), run(), priors={"decay": {"value": 1.0, **options}})
-    with pytest.raises(InputError, match="the deviation 0: give a positive number"):
+    with pytest.raises(InputError, match="the deviation of the prior is 0: give a positive number"):
         Prior(1.0, deviation=0.0)
 
 
 @pytest.mark.parametrize(
     ("priors", "sentence"),
     [
-        ({"idle": Prior(1.0, deviation=1.0)}, "'idle' has a prior and is not free"),
+        ({"idle": Prior(1.0, deviation=1.0)}, "'idle' has a prior but is not free"),
         ({"decay": Prior(10.0, deviation=1.0)}, "'decay' has the value 10, which is outside"),
         ({"offset": Prior(1.0, factor=2.0)}, "'offset' may be negative"),
         ({"decoy": Prior(1.0, factor=2.0)}, "no parameter 'decoy': did you mean 'decay'?"),

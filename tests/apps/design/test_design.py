@@ -225,7 +225,7 @@ def test_priors_are_information():
     ("options", "words"),
     [
         ({"priors": {"air.drag": {"value": 1.0, "deviation": 0.1}}}, "did you mean"),
-        ({"priors": {"joints.damping": {"value": 1.0, "deviation": 0.1}}}, "and is not free"),
+        ({"priors": {"joints.damping": {"value": 1.0, "deviation": 0.1}}}, "but is not free"),
         ({"ties": {DRAG: f"0.4 * {STIFFNESS}"}}, f"'{DRAG}' is tied to other parameters: give the"),
     ],
 )
@@ -254,7 +254,7 @@ def test_what_is_not_determined_has_no_ratio():
     common |= {"status": "converged", "evaluations": (), "seconds": 0.0}
     half = Design(**common, designed=known, base_step=unknown)
     assert half.ratio is None
-    assert f"the base step cannot tell {DRAG}" in repr(half)
+    assert f"the base step cannot determine {DRAG}" in repr(half)
     stored = json.loads(design_json(Design(**common, designed=unknown, base_step=unknown)))
     assert stored["ratio"] is stored["design"]["criterion"] is stored["draws"]["largest"] is None
     whole = Design(**common, designed=known, base_step=dataclasses.replace(known, criterion=0.2))
@@ -272,7 +272,7 @@ def test_a_free_first_state_is_a_nuisance():
     ("options", "words"),
     [
         (["--parameter", "air.drag"], "did you mean 'air.drag_coefficient'?"),
-        (["--parameter", DRAG, "--joints", "3"], "the arm has joints 1 to 2"),
+        (["--parameter", DRAG, "--joints", "3"], "the arm has only joints 1 to 2"),
         (["--parameter", DRAG, "--joints", "1;2"], "must be numbers"),
         (["--parameter", DRAG, "--max-angle", "0"], "the largest angle is 0"),
         (

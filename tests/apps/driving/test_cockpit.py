@@ -200,7 +200,7 @@ def test_the_operator_ends_the_drive(cockpit):
 def test_a_message_that_says_nothing_is_answered(cockpit):
     with socket_of(cockpit) as page:
         for text, said in (
-            ("[]", "is not a table"),
+            ("[]", "is not a JSON object"),
             ("{", "is not JSON"),
             ('{"type": "pad", "axes": [], "buttons": []}', "the pad has no axes"),
             (f'{{"type": "joint", "joint": 1, "deg": {10**400}}}', "which is not a valid angle"),

@@ -88,8 +88,8 @@ def test_movements_that_cannot_be(moves, said):
 @pytest.mark.parametrize(
     ("duration", "rate", "said"),
     [
-        (2.55, 10.0, "make it 2.6 s"),
-        (0.01, 10.0, "make it 0.1 s"),
+        (2.55, 10.0, "use 2.6 s"),
+        (0.01, 10.0, "use 0.1 s"),
         (0.0, 10.0, "contains no samples"),
         (1.0, -1.0, "contains no samples"),
         (np.nan, 1.0, "contains no samples"),

@@ -368,7 +368,7 @@ BAD = {
     ),
     "denser than its film": (
         {"film__thickness": 1e-3},
-        "a layer of the roll is 1.19 mm thick, but two films are 2 mm: give a larger roll.radius",
+        "a layer of the roll is only 1.19 mm thick, but two films are 2 mm: give a larger roll.radius",
     ),
     "paid out": (
         {"roll__start": 20.0},

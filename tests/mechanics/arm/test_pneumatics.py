@@ -275,9 +275,9 @@ def test_bad_muscles_are_refused():
             takeichi_20m(2, muscles=wrong)
     with pytest.raises(InputError, match="which pushes"):
         takeichi_20m(2, muscles="all", pair=JointPair(PAIR.joint, Piston()))
-    with pytest.raises(InputError, match="joint 3 has muscles, but the arm has 2 joints"):
+    with pytest.raises(InputError, match="joint 3 has muscles, but the arm has only 2 joints"):
         takeichi_20m(2, muscles=[1, 3])
-    with pytest.raises(InputError, match="increasing, each once"):
+    with pytest.raises(InputError, match="increasing numbers of joints, from 1 on, each once"):
         takeichi_20m(2, muscles=[2, 1])
     with pytest.raises(InputError, match="no joint has muscles"):
         takeichi_20m(2, pair=JointPair())
