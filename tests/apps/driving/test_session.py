@@ -179,7 +179,7 @@ def test_drives_that_are_none(model):
     many = np.linspace(0.0, 1.0, 500_001)
     with pytest.raises(InputError, match="the drive has 500,001 rows: give at most 500,000"):
         replay(session, {"time_s": many, "axis0": many})
-    with pytest.raises(InputError, match="no time was driven"):
+    with pytest.raises(InputError, match="the drive has no duration"):
         session.record.run(["tip_z"])
     session.tick(0.0)
     session.tick(1.0)
