@@ -64,7 +64,10 @@ def test_profiles_are_written_added_to_and_shown(fit, capsys):
 def test_what_cannot_be_profiled_is_one_sentence(fit, tmp_path, capsys):
     for words, sentence in [
         ([str(tmp_path)], "does not exist: give the folder of a finished fit"),
-        ([str(fit), "--level", "95"], "the level is 95: give a level between 0 and 1, such as 0.95"),
+        (
+            [str(fit), "--level", "95"],
+            "the level is 95: give a level between 0 and 1, such as 0.95",
+        ),
         ([str(fit), "--parameter", "muscle.hat"], "'muscle.hat' was neither free in this fit"),
     ]:
         assert main(["profile", *words, "--force"]) == 2

@@ -237,7 +237,10 @@ REFUSED = {
     "link beyond the arm": (["--ramp", "1=1", "--channels", "link21"], ["link 21", "20 links"]),
     "joint not there": (["--ramp", "1=1", "--channels", "joint21_angle"], ["joint 21"]),
     "misspelt channel": (["--ramp", "1=1", "--channels", "link6"], ["'link06_x'"]),
-    "command as channel": (["--ramp", "1=1", "--channels", "joint01_command"], ["is not a channel of an arm"]),
+    "command as channel": (
+        ["--ramp", "1=1", "--channels", "joint01_command"],
+        ["is not a channel of an arm"],
+    ),
     "negative noise": (
         ["--ramp", "1=1", "--noise", "position_m=-1"],
         ["position_m=-1' is negative"],

@@ -102,7 +102,10 @@ BAD = {
         "roll_radius_mm = 40.0",
         "the radius of the roll is 40 mm, and the radius of its core",
     ),
-    "thick film": ("film_thickness_mm = 2.0", "a layer of the roll is only 1.19 mm thick, but two film"),
+    "thick film": (
+        "film_thickness_mm = 2.0",
+        "a layer of the roll is only 1.19 mm thick, but two film",
+    ),
     "paid out": ("start_length_m = 30.0", "30 m are paid out at the start, but the arm is only"),
 }
 
@@ -120,7 +123,9 @@ def test_bad_options_are_one_sentence(tmp_path, capsys):
     refused(capsys, ["--set", "roll.radios=1"], "there is no parameter 'roll.radios'")
     refused(capsys, ["--set", "film.peel=-1"], "film.peel = -1 N is outside its bounds")
     refused(
-        capsys, ["--by-gas", "--set", "supply.flow=0"], "gas is to unroll the arm, but with supply"
+        capsys,
+        ["--by-gas", "--set", "supply.flow=0"],
+        "the arm is set to unroll by gas, but with supply",
     )
     (tmp_path / "file").write_text("")
     refused(capsys, ["--out", tmp_path / "file"], "is a file")

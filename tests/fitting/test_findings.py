@@ -177,7 +177,9 @@ def test_the_one_sided_interval_is_where_the_cost_says():
         return least_squares(rows, [2.0, 0.3]).cost
 
     reach = brentq(lambda decay: cost(decay) - cost(0.7) - 1.645**2 / 2, 0.6, 0.7)
-    shown = re.search(r"upper bound 0.7; its value is at least ([\d.]+) \(one-sided", finding.sentence)
+    shown = re.search(
+        r"upper bound 0.7; its value is at least ([\d.]+) \(one-sided", finding.sentence
+    )
     assert float(shown[1]) == pytest.approx(reach, abs=6e-4)
     assert 0.68 < reach < 0.7
 

@@ -265,7 +265,7 @@ FILES = {
     ),
     "more than 10,000 series": mcap(topic(), *(told(i, [f"n{i}"], [1.0]) for i in range(10_001))),
     "'/j/a\\x1b[2J\\nb' is not a valid name": mcap(topic(), told(0, ["a\x1b[2J\nb"], [1.0])),
-    "is not a valid name: it may have at most 1,000 characters": mcap(topic(), told(0, ["q" * 1_001], [1.0])),
+    "is not a valid name: it may have at most 1,000": mcap(topic(), told(0, ["q" * 1_001], [1.0])),
     "/j/a twice": mcap(topic(), told(0, ["a", "a"], [1.0, 2.0])),
     "has 2 names but 1 values of position": mcap(topic(), told(0, ["a", "b"], [1.0])),
     "/j/a is inf in a message": mcap(topic(), told(0, ["a"], [np.inf])),

@@ -88,7 +88,9 @@ def test_results_and_workers_are_of_the_plug_in_that_was_used(tmp_path):
     versions = {"jax": "1", **sources_of(registered("drag", "UsedLaw")())}
     digest = plugins()[path]
     check_sources(versions)
-    with pytest.raises(InputError, match=r"used_law.py has changed since the fit: restore the former version"):
+    with pytest.raises(
+        InputError, match=r"used_law.py has changed since the fit: restore the former version"
+    ):
         check_sources({"used_law.py": "sha256 0"})
     _plugins._PLUGINS.clear()
     del sys.modules["used_law"]

@@ -167,7 +167,10 @@ def test_a_sample_has_the_distributions_that_are_asked_for(folder, method):
         ("[sample]\ncount = 2\nfix.offset = { log_uniform = [-1, 1] }", "both positive"),
         ("[sample]\ncount = 2\nfix.offset = { normal = [1, 0] }", "a positive standard deviation"),
         ("[grid]\nfix.offset = [1]\n[[list]]\nfix.offset = 2", "has fix.offset in two of grid"),
-        ("[grid.fix]\n" + "\n".join(f"p{n} = {list(range(1000))}" for n in range(3)), "at most 100,000"),
+        (
+            "[grid.fix]\n" + "\n".join(f"p{n} = {list(range(1000))}" for n in range(3)),
+            "at most 100,000",
+        ),
     ],
 )
 def test_what_a_plan_may_not_say(folder, text, words):

@@ -400,9 +400,9 @@ def _check_unrolling(unrolling: Unrolling) -> None:
     strength = STRENGTHS[filling.supply.kind]
     if unrolling.by_gas and not float(get(filling, strength)) > 0:
         raise InputError(
-            f"gas is to unroll the arm, but with {strength} = {float(get(filling, strength)):g} no "
-            "gas "
-            'flows: give a positive number, or the order "roll first"'
+            f"the arm is set to unroll by gas, but with {strength} = "
+            f"{float(get(filling, strength)):g} no gas flows: give a positive number, or the order "
+            '"roll first"'
         )
     check_filling(filling)
     own = {each.path: each for group in (ROLL, FILM, HAND) for each in group}

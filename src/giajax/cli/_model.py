@@ -44,7 +44,7 @@ def definition_of(path: Path | None) -> "Definition":
     if not path.exists():
         raise InputError(
             f"{path} does not exist: give the folder of a fit, its result.json, or a TOML file "
-            "that states a model"
+            "that defines a model"
         )
     if is_result(path):
         # What is no result is refused before JAX is imported, which takes seconds.

@@ -226,7 +226,7 @@ def _known_loss(said: Any) -> Any:
 
 
 Values = dict[Name, Finite | list[Finite]]
-"""Numbers by path, SI: one for a whole parameter, or one for each of its elements."""
+"""Values by parameter path, SI: one for the whole parameter, or one per element."""
 
 
 def _known_solver(said: Any) -> Any:

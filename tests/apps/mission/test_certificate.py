@@ -220,9 +220,7 @@ def test_the_command_says_the_chance_and_writes_what_is_behind_it(recording, mon
     assert main([*given, "--out", "chance"]) == 2
     assert "--force" in capsys.readouterr().err
     assert main([*given, "--case", "4"]) == 2
-    assert (
-        "--case applies to a single mission: omit --from-recording" in capsys.readouterr().err
-    )
+    assert "--case applies to a single mission: omit --from-recording" in capsys.readouterr().err
 
 
 @pytest.mark.slow
