@@ -145,7 +145,7 @@ def test_the_air_has_its_speed():
     ("changes", "sentence"),
     [
         ({"mission": None}, r"the file has no \[mission\]: add one"),
-        ({"camera": {}}, "no camera at the tip: give one"),
+        ({"camera": {}}, "the tip carries no camera: give one"),
         ({"mission__camera": "other"}, "'other' is not a camera at the tip"),
         ({"mission__opening": "front"}, "'front' is not a wall with an opening"),
         ({"arm__obstacles": []}, "the arm has no opening to enter"),
