@@ -101,7 +101,7 @@ def test_at_a_bound_only_what_leads_inwards_counts():
     assert (row.estimate, row.chi_square_drop, row.p_value) == (0, 0, 1)
     assert (
         row.note
-        == "fixed at its bound: tested towards the inside, and the data suggest a value beyond the "
+        == "fixed at its bound: tested only towards the interior, and the data suggest a value beyond the "
         "bound"
     )
 
@@ -264,7 +264,7 @@ def test_a_suspect_that_moves_a_parameter_makes_the_verdict_doubtful():
     assert reason.sentence.startswith(
         "offset (or shift[2], which the data can hardly distinguish from it)"
     )
-    assert "is held at 0.1 m, and the residuals suggest 0.11" in reason.sentence
+    assert "is fixed at 0.1 m, and the residuals suggest 0.11" in reason.sentence
     assert reason.sentence.endswith("fit it too, with --free amplitude --free decay --free offset")
     assert asked.headline.startswith("DOUBTFUL MODEL: offset ")
     # Asked again it is the same, and with the suspect free there is none.
