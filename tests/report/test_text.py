@@ -86,7 +86,7 @@ def test_the_summary_of_what_is_missing_says_so(result):
         runs=(RunFit("r", None, None, {"output": ChannelFit("", None, 3, 1.0)}),),
     )
     text = summary(bare)
-    for part in ["not finite", "not done", "not known", "1 channel, 3 values"]:
+    for part in ["not finite", "not done", "effect unknown", "1 channel, 3 values"]:
         assert part in text
     assert "correlation" not in text
 

@@ -99,10 +99,9 @@ def test_at_a_bound_only_what_leads_inwards_counts():
     outwards = dataclasses.replace(recording, values=values)
     row = suspects(fitted(outwards), outwards).of("rub")
     assert (row.estimate, row.chi_square_drop, row.p_value) == (0, 0, 1)
-    assert (
-        row.note
-        == "fixed at its bound: tested only towards the interior, and the data suggest a value beyond the "
-        "bound"
+    assert row.note == (
+        "fixed at its bound: tested only towards the interior, and the data suggest a value beyond "
+        "the bound"
     )
 
 
