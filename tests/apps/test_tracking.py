@@ -491,15 +491,15 @@ def test_a_run_that_cannot_be_followed_is_tried_with_more_unmodelled_torque(stil
     facts = track_facts(found, judge(model, found, look=False))
     assert facts["torque_n_m_root_s"] == 2 * usual
     notes = track_notes(found, judge(model, found, look=False))
-    assert any("2 times as much" in note for note in notes)
+    assert any("with 2 times this torque" in note for note in notes)
     assert np.all(np.isfinite(found.smoothed.mean))
     assert any("the state became infinite; repeating with" in line for line in said)
     # Where somebody says how much torque is unmodelled, it is that.
     run = leaking(still_arm, at=2.0, left=1.0, lasts=5.0)
-    with pytest.raises(InputError, match="its state becomes infinite; allow more"):
+    with pytest.raises(InputError, match="its state becomes infinite: allow more"):
         track(model, run, unknown=Unknown(torque=np.nan))
     given = iter([np.nan] * 5)
-    with pytest.raises(InputError, match="its state becomes infinite; allow more"):
+    with pytest.raises(InputError, match="its state becomes infinite: allow more"):
         track(model, run)
 
 
