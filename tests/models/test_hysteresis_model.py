@@ -200,7 +200,7 @@ def test_a_stated_list_stays():
 
 def test_a_start_without_a_response_is_refused_by_name():
     run = record("bouc_wen")
-    with pytest.raises(InputError, match="cannot be evaluated at the start"):
+    with pytest.raises(InputError, match="cannot be evaluated at the initial values"):
         fit(model_for([run]), run, free=["previous_extremes", "beta"], start={"beta": 1e9})
 
 

@@ -62,8 +62,8 @@ def test_the_sidecar_states_the_joint_and_comes_back():
     [
         ({"angle": [0.1], "contraction": [0.1]}, "has no side"),
         ({"side": ["inner"], "contraction": [0.1]}, "has no angle"),
-        ({"angle": [0.1], "side": ["outer"], "force": [1.0]}, "is outer at 5.73 deg"),
-        ({"angle": [-0.1], "side": ["inner"], "force": [1.0]}, "is inner at -5.73 deg"),
+        ({"angle": [0.1], "side": ["outer"], "force": [1.0]}, "is the outer at 5.73 deg"),
+        ({"angle": [-0.1], "side": ["inner"], "force": [1.0]}, "is the inner at -5.73 deg"),
         ({"angle": [30.0], "side": ["inner"], "force": [1.0]}, "at most 90 deg"),
         ({"angle": [0.1, np.nan], "side": ["inner"] * 2, "force": [1.0, 1.0]}, "empty in sample 1"),
         ({"angle": [0.1], "side": ["left"], "force": [1.0]}, "must be inner or outer"),
@@ -84,7 +84,9 @@ def test_runs_that_disagree_and_joints_that_cannot_be_built_are_refused():
     impossible = Run.from_arrays(
         None, dict(one.values), definition={"joint": {"wire_length_m": 0.04}}
     )
-    with pytest.raises(InputError, match="cannot be built at 10 deg, where D_x is not below"):
+    with pytest.raises(
+        InputError, match="cannot be built at 10 deg, where D_x is not less than half"
+    ):
         model_for([impossible])
 
 

@@ -439,7 +439,7 @@ def test_what_the_sensors_are_conditional_on_is_said():
     sentences = model(**EACH).conditions(["camera.scale", "camera.delay", "encoder.offset"], [])
     assert any(s.startswith("camera.scale: holds for links.length = 0.99 m") for s in sentences)
     assert any(s.startswith("camera.delay: relative to the clock") for s in sentences)
-    assert any(s.startswith("encoder.offset: counted from") for s in sentences)
+    assert any(s.startswith("encoder.offset: relative to") for s in sentences)
     assert model(**EACH).conditions(["camera.rotation[0]"], []) == []
 
 

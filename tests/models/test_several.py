@@ -153,7 +153,7 @@ def test_each_recording_is_worth_what_is_lost_without_it(fitted):
     assert fitted.parameters["drift"].sources["line"] is None
     said = summary(fitted)
     assert "wave: only source of information on offset" in said
-    assert "line: only source of information on drift; without it" in said
+    assert "line: only source of information on drift; factor on the errors" in said
 
 
 def test_what_one_recording_determines_has_no_sources(runs):

@@ -202,7 +202,10 @@ def test_repetitions_are_on_the_page_of_their_fit_alone(result, run, tmp_path):
     # A damaged one is said in its place.
     odd = dataclasses.replace(asked, parts=(dataclasses.replace(part, exact_widening={}),))
     for text, why in (
-        ("{", r"this is not a file influence\.json of this version of giajax \(it is not JSON\)"),
+        (
+            "{",
+            r"this is not a valid influence\.json file of this version of giajax \(it is not JSON\)",
+        ),
         (odd.to_json(), "its numbers are inconsistent"),
     ):
         (tmp_path / "influence.json").write_text(text)

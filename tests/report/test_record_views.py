@@ -39,7 +39,7 @@ def test_a_record_is_read_again_or_refused_in_a_sentence():
     assert Weighed.of_json(found.to_json()) == found
     for text in ("[]", '{"version": 1, "masses": []}', '{"version": 2, "mass": []}'):
         with pytest.raises(
-            InputError, match=r"not a weighed\.json file of this version.*: weigh it again"
+            InputError, match=r"not a valid weighed\.json file of this version.*: weigh it again"
         ):
             Weighed.of_json(text)
 

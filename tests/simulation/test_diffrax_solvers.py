@@ -95,7 +95,7 @@ def test_derivatives_follow_from_the_mode(mode, derivative):
         ({"solver": diffrax.ShARK()}, "ShARK is for stochastic or split equations"),
         (
             {"solver": diffrax.SemiImplicitEuler()},
-            "SemiImplicitEuler is for stochastic eq",
+            "SemiImplicitEuler is for stochastic or split equations",
         ),
         ({"solver": diffrax.KenCarp4()}, "KenCarp4 is for stochastic or split equations"),
         (
@@ -131,7 +131,7 @@ def test_what_does_not_work_is_refused(options, sentence):
 
 
 def test_settings_and_a_stepper_refuse_what_a_fit_or_a_motion_would():
-    with pytest.raises(InputError, match=r"fit.solver.*there is no solver Euller: give"):
+    with pytest.raises(InputError, match=r"fit.solver.*the solver Euller is unknown: give"):
         giajax.recordings.fit_settings({"solver": "Euller()"})
     giajax.simulation.Stepper(ARM, 0.1, solver=diffrax.Euler())
     with pytest.raises(InputError, match="Euler does not estimate the error of a step"):

@@ -160,7 +160,7 @@ def test_the_memory_of_a_joint_is_rather_to_be_believed_than_friction():
 
 
 @pytest.mark.parametrize(
-    "where", ["fitting the first model", "testing fixed and omitted parameters"]
+    "where", ["fitting the first model", "testing fixed and omitted parameters ..."]
 )
 def test_a_model_that_cannot_be_asked_ends_an_explanation_with_what_there_is(where):
     recording = recorded(seed=5)

@@ -219,7 +219,7 @@ def test_it_goes_on_where_it_was_stopped_and_is_read_again(shallow, tmp_path):
 
 def test_what_cannot_be_profiled_is_told_in_a_sentence(shallow):
     data, result = shallow
-    with pytest.raises(InputError, match=r"'air\.drag' was not free .* use one of"):
+    with pytest.raises(InputError, match=r"'air\.drag' was neither free .* use one of"):
         profile(result, data, ["air.drag"])
     with pytest.raises(InputError, match="the level is 95"):
         profile(result, data, level=95)

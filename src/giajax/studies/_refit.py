@@ -322,7 +322,7 @@ class StudyRecord:
     @classmethod
     def of_json(cls, text: str | bytes) -> Self:
         """The record that a text of `to_json` holds."""
-        what = f"this is not a {cls.file} file of this version of giajax"
+        what = f"this is not a valid {cls.file} file of this version of giajax"
         return parse_record(cls, text, cls.head, what, cls.remedy)
 
 

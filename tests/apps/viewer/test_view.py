@@ -134,11 +134,11 @@ def test_a_track_is_shown_with_its_bands(tmp_path):
         (lambda text: text + "1,2\n", r"bands\.csv: row 7 has 2 cells"),
         (
             lambda text: text[: text.rindex("\n", 0, -1) + 1],
-            r"has missing rows or cells in bands\.csv",
+            r"bands\.csv has missing rows or cells",
         ),
         (
             lambda text: text[: text.rindex(",") + 1] + "\n",
-            r"has missing rows or cells in bands\.csv",
+            r"bands\.csv has missing rows or cells",
         ),
         (
             lambda text: text[: text.rindex(",") + 1] + "six\n",

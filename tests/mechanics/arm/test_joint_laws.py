@@ -442,8 +442,8 @@ class Astray(Memory):
         (Shared(), "Shared.unstrained depends on another joint at"),
         (Called(), "Called.rows is a method: give the number of states"),
         (Fractional(), "Fractional.rows is 1.0: give the number of states"),
-        (Whole(), "Whole.unstrained returns int64 where angles are float64: return"),
-        (Imaginary(), "Imaginary.torque returns complex128 where angles are float64"),
+        (Whole(), "Whole.unstrained returns int64, but the angles are float64: return"),
+        (Imaginary(), "Imaginary.torque returns complex128, but the angles are float64"),
         (
             Kinetic(),
             "Kinetic.energy depends on the rate at .*: let the stored energy depend only "
@@ -582,7 +582,7 @@ def test_names_of_laws_are_those_of_registered_ones_each_once():
             takeichi_20m(2, joint_laws=[given])
     with pytest.raises(InputError, match='\'Nobodys\' must be "hardening", "end_stops" or'):
         giajax.recordings.Definition.parse({"arm": {"joint_laws": ["Nobodys"]}}, "test")
-    with pytest.raises(InputError, match="there is a joint 'hardening' already"):
+    with pytest.raises(InputError, match="a joint named 'hardening' already exists"):
 
         @giajax.register
         class Other(AbstractJointLaw):

@@ -215,11 +215,11 @@ def camera(link, **places):
         ),
         (
             lambda: takeichi_20m(3, parameters={"joints.friction": [0.1, 0.2]}),
-            "'joints.friction' has 2 values: give one finite number, or 3 of them",
+            "'joints.friction' has 2 values: give one finite number, or 3 numbers",
         ),
         (
             lambda: takeichi_20m(3, parameters={"air.wind": [0.1, np.nan, 0.0]}),
-            "'air.wind' has 3 values: give one finite number, or 3 of them",
+            "'air.wind' has 3 values: give one finite number, or 3 numbers",
         ),
     ],
 )

@@ -200,10 +200,10 @@ def test_what_is_not_stated_is_neutral():
 @pytest.mark.parametrize(
     ("left_out", "named"),
     [
-        ("length", r"no links\.length \(link_length_m\): state"),
-        ("diameter", r"no links\.diameter \(link_diameter_m\): state"),
-        ("mass", r"no links\.mass \(link_mass_kg\): state"),
-        ("joint_axes", "no joint_axes: state"),
+        ("length", r"lacks links\.length \(link_length_m\): state"),
+        ("diameter", r"lacks links\.diameter \(link_diameter_m\): state"),
+        ("mass", r"lacks links\.mass \(link_mass_kg\): state"),
+        ("joint_axes", "lacks joint_axes: state"),
         ("joints.pitch_stiffness", r"this arm lacks joints\.pitch_stiffness: state"),
         ("joints.yaw_stiffness", r"this arm lacks joints\.yaw_stiffness: state"),
         ("joints.damping", r"this arm lacks joints\.damping: state"),
