@@ -201,10 +201,10 @@ def test_a_message_that_says_nothing_is_answered(cockpit):
     with socket_of(cockpit) as page:
         for text, said in (
             ("[]", "is not a JSON object"),
-            ("{", "is not JSON"),
+            ("{", "is not valid JSON"),
             ('{"type": "pad", "axes": [], "buttons": []}', "the pad has no axes"),
             (f'{{"type": "joint", "joint": 1, "deg": {10**400}}}', "which is not a valid angle"),
-            ("[" * 10_000, "is not JSON"),
+            ("[" * 10_000, "is not valid JSON"),
         ):
             page.send(text)
             assert said in told(page, "error")["text"]
