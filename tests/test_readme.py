@@ -93,8 +93,8 @@ def test_the_files_and_commands_of_a_page_run(page, folder, truth, tmp_path, mon
     if page == "own_arm.md":
         assert (tmp_path / "exported" / "arm.xml").exists()
         return
-    seen, pictures = re.search(r"(\d+) of (\d+) were found", text).groups()
-    assert f"{seen} points found of {pictures}" in said["import"]
+    seen, pictures = re.search(r"found in (\d+) of (\d+) pictures", text).groups()
+    assert f"{seen} of {pictures} points found" in said["import"]
     printed = table(said["fit"])
     assert len(table(text)) == 5
     for name, numbers in table(text).items():
