@@ -242,7 +242,7 @@ def test_a_journal_is_gone_on_with(home, capsys, name, words):
     last = json.loads(lines[-1])
     assert main(["fit", "--resume", "fit", "--no-figures", "--no-suspects"]) in (0, 1)
     said = capsys.readouterr().err
-    assert "going on where fit/journal.jsonl ends" in said
+    assert "continuing from the end of fit/journal.jsonl" in said
     # The steps that are shown are those that were done now.
     words = [line.split() for line in said.splitlines()]
     steps = [int(each[0]) for each in words if each and each[0].isdigit()]

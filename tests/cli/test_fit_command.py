@@ -73,7 +73,7 @@ def test_numbers_without_figures(data):
     }
     assert "wrote out: result.json, prediction.csv, prediction.toml\n" in out
     # It ended early, and can go on.
-    assert out.endswith("to continue it: giajax fit --resume out --max-iterations 2\n")
+    assert out.endswith("to continue the fit: giajax fit --resume out --max-iterations 2\n")
 
 
 def test_it_finds_the_truth(fitted):

@@ -97,12 +97,12 @@ def test_a_signal_writes_the_best_so_far(folder, plain, number, status):
     code, out, err = ended(running)
     assert (code, "Traceback" in err) == (status, False)
     assert "interrupted after" in out
-    assert "to continue it: giajax fit --resume out" in out
+    assert "to continue the fit: giajax fit --resume out" in out
     result = load_result("out")
     assert (result.status, result.iterations) in [("interrupted", 5), ("interrupted", 6)]
     assert "fit.lock" not in os.listdir("out")
     code, out, err = ended(process("fit", "--resume", "out", "--no-figures"))
-    assert (code, "going on where out/journal.jsonl ends" in err) == (0, True)
+    assert (code, "continuing from the end of out/journal.jsonl" in err) == (0, True)
     assert numbers("out") == plain
     assert not Path("out/journal.jsonl").exists()
 
