@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from docs.machinery.paragraphs import docstrings_of
+
 pytestmark = pytest.mark.quick
 
 ROOT = Path(__file__).parents[1]
@@ -68,9 +70,7 @@ def test_no_message_lost_its_f():
     found = []
     for path in SOURCES:
         tree = ast.parse(path.read_text())
-        kinds = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
-        documented = [node for node in ast.walk(tree) if isinstance(node, kinds)]
-        docstrings = {ast.get_docstring(node, clean=False) for node in documented}
+        docstrings = docstrings_of(tree)
         found += [
             f"{path.name}:{node.lineno}: {node.value}"
             for node in ast.walk(tree)

@@ -29,15 +29,18 @@ def of_pages() -> list[str]:
     return found
 
 
+def docstrings_of(tree: ast.Module) -> set[str | None]:
+    """All docstrings of a module."""
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    return {ast.get_docstring(n, clean=False) for n in ast.walk(tree) if isinstance(n, kinds)}
+
+
 def of_sources() -> tuple[list[str], list[str]]:
     """Of the strings of the program: those of help, and sentences of results and errors."""
     helps, messages = [], []
     for path in sorted((ROOT / "src").rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
-        docstrings = {
-            ast.get_docstring(n, clean=False) for n in ast.walk(tree) if isinstance(n, documented)
-        }
+        docstrings = docstrings_of(tree)
         parts = {id(v) for n in ast.walk(tree) if isinstance(n, ast.JoinedStr) for v in n.values}
         for node in ast.walk(tree):
             if isinstance(node, ast.JoinedStr):

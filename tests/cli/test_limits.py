@@ -16,6 +16,7 @@ pytestmark = pytest.mark.quick
 ROOT = Path(__file__).resolve().parents[2]
 
 HEAD = "time_s,joint01_command_deg,link06_z_m\n"
+DEEP, ABOVE = "more than 32 levels deep", "number above 1,000"
 GOOD = HEAD + "0,0,0.1\n0.1,30,0.2\n0.2,30,0.3\n"
 MANY = ",".join(["time_s", *(f"link{index}_z_m" for index in range(100_000))])
 LEAP = HEAD + "".join(f"{time},0,0\n" for time in (0, 0.01, 0.02, 0.03, 40, 50, 60))
@@ -31,11 +32,11 @@ CASES = {
                               ["2000 values", "1000 links"]),
     "a body on no link": (GOOD, BODY, ["link 25", "20 links"]),
     "a mesh of 1e9 rows": (GOOD, "[hysteresis]\nrows = 1000000000", ["from 2 to 1000"]),
-    "deep lists": (GOOD, f"[truth]\na = {'[' * 20_000}{']' * 20_000}", ["more than 32 levels"]),
-    "deep tables": (GOOD, f"truth = {'{a = ' * 5_000}1{'}' * 5_000}", ["more than 32 levels"]),
-    "a deep heading": (GOOD, f"[{'a.' * 20_000}a]", ["more than 32 levels"]),
-    "a deep key": (GOOD, f"{'a.' * 400_000}a = 1", ["more than 32 levels"]),
-    "a deep quoted key": (GOOD, f"""{'"a" . ' * 20_000}a = 1""", ["more than 32 levels"]),
+    "deep lists": (GOOD, f"[truth]\na = {'[' * 20_000}{']' * 20_000}", [DEEP]),
+    "deep tables": (GOOD, f"truth = {'{a = ' * 5_000}1{'}' * 5_000}", [DEEP]),
+    "a deep heading": (GOOD, f"[{'a.' * 20_000}a]", [DEEP]),
+    "a deep key": (GOOD, f"{'a.' * 400_000}a = 1", [DEEP]),
+    "a deep quoted key": (GOOD, f"""{'"a" . ' * 20_000}a = 1""", [DEEP]),
     "a sidecar of 2 MB": (GOOD, "#" * 2_000_000, ["2,000,000 bytes", "at most 1,048,576"]),
     "a parameter outside its bounds": (GOOD, '[arm.parameters]\n"air.drag_coefficient" = -5',
                                        ["arm.parameters", "air.drag_coefficient", "-5", "50"]),
@@ -53,8 +54,8 @@ CASES = {
     "a long cell": (GOOD.replace("0.2\n", "1" * 140_000 + "\n"), None, ["140,000 characters"]),
     "a long quoted cell": (GOOD.replace("0.2\n", f'"{"1" * 140_000}"\n'), None, ["row 3", "1,000"]),
     "a long name": (GOOD.replace("link06_z_m", "l" * 140_000), None, ["row 1", "140,000"]),
-    "joint 999...": (GOOD.replace("01", "9" * 900), None, ["joint with a number above 1,000"]),
-    "joint 1001": (GOOD.replace("01", "1001"), None, ["'joint1001_command_deg'", "above 1,000"]),
+    "joint 999...": (GOOD.replace("01", "9" * 900), None, [f"joint with a {ABOVE}"]),
+    "joint 1001": (GOOD.replace("01", "1001"), None, ["'joint1001_command_deg'", ABOVE]),
     "100,000 columns": (f"{MANY}\n{'0,' * 100_000}0\n", None, ["100,001 columns", "10,000"]),
     "times to 1e300": (GOOD.replace("0.2,30", "1e300,30"), None, ["1e+300 s", "row 4"]),
     "times from -1e308": (GOOD.replace("0,0,", "-1e308,0,"), None, ["-1e+308 s", "row 2"]),

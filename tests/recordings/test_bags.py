@@ -265,7 +265,9 @@ FILES = {
     ),
     "more than 10,000 series": mcap(topic(), *(told(i, [f"n{i}"], [1.0]) for i in range(10_001))),
     "'/j/a\\x1b[2J\\nb' is not a valid name": mcap(topic(), told(0, ["a\x1b[2J\nb"], [1.0])),
-    "is not a valid name: it may have at most 1,000": mcap(topic(), told(0, ["q" * 1_001], [1.0])),
+    "is not a valid name: it may have at most 1,000 characters": mcap(
+        topic(), told(0, ["q" * 1_001], [1.0])
+    ),
     "/j/a twice": mcap(topic(), told(0, ["a", "a"], [1.0, 2.0])),
     "has 2 names but 1 values of position": mcap(topic(), told(0, ["a", "b"], [1.0])),
     "/j/a is inf in a message": mcap(topic(), told(0, ["a"], [np.inf])),
@@ -588,7 +590,7 @@ def test_two_commands_from_a_bag_to_a_fit(tmp_path, capsys):
     )
     words = ["import", str(bag), "--point", "/joint_states/pivot=joint01"]
     assert main([*words, "--to", str(tmp_path / "run.csv")]) == 0
-    assert "from a bag of ROS 2: 200 rows, 200 values found of 200" in capsys.readouterr().out
+    assert "from a bag of ROS 2: 200 rows, 200 of 200 values found" in capsys.readouterr().out
     out = tmp_path / "result"
     assert main(["fit", str(fit), "--out", str(out), "--no-figures", "--no-suspects"]) == 0
     found = load_result(out).parameters["links.centre_of_mass[0]"]

@@ -204,7 +204,8 @@ def test_repetitions_are_on_the_page_of_their_fit_alone(result, run, tmp_path):
     for text, why in (
         (
             "{",
-            r"this is not a valid influence\.json file of this version .* \(it is not JSON\)",
+            r"this is not a valid influence\.json file of this version of giajax "
+            r"\(it is not JSON\)",
         ),
         (odd.to_json(), "its numbers are inconsistent"),
     ):

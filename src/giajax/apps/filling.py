@@ -385,7 +385,7 @@ DIAMETERS = (0.004, 0.005, 0.006, 0.007, 0.008, 0.01, 0.012, 0.015, 0.02)
 _TRIES = 40
 # A supply that is a hundred times as strong will not do either.
 _FAR = math.log(1e2)
-_CLOSE = 1e-5
+_CLOSE = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)

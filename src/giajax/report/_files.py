@@ -22,7 +22,7 @@ from ..recordings import (
 )
 from ..runtime.files import parse_json, read_bytes
 from ..runtime.limits import RESULT_BYTES
-from ..runtime.pictures import FORMATS, SIGNATURE
+from ..runtime.pictures import FORMATS, remove_own
 from ..runtime.records import plain_data
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import find, switched_on
@@ -302,11 +302,5 @@ def _remove_stale_pictures(folder: Path) -> None:
     pictures = (f"{name}.{each}" for name in (*of_runs, *whole) for each in FORMATS)
     for pattern in (*pictures, PAGE):
         for path in folder.glob(pattern):
-            try:
-                # A person's own picture of such a name does not carry the signature, which a PDF
-                # has at its end. A page may say it anywhere.
-                content = path.read_bytes()
-                if SIGNATURE.encode() in (content[:200] if pattern == PAGE else content):
-                    path.unlink()
-            except OSError:
-                continue
+            # A PDF has the signature at its end. A page may say it anywhere.
+            remove_own(path, 200 if pattern == PAGE else None)

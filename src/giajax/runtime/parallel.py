@@ -14,7 +14,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from .arrays import Float
 from .process import carried, cores, one_blas_thread
-from .programs import compiled_ahead, program
+from .programs import compiled_ahead, leaf_kind, program
 from .text import InputError
 
 Result = TypeVar("Result")
@@ -286,14 +286,9 @@ def _shares_of(batch: Batch) -> list[_Share]:
     for rows in split_evenly(batch.sizes, batch.length):
         own = jax.tree.map(lambda leaf, rows=rows: leaf[rows], items)
         leaves, tree = jax.tree.flatten((own, batch.shared))
-        key = (id(batch.call), tree, tuple(map(_kind, leaves)))
+        key = (id(batch.call), tree, tuple(map(leaf_kind, leaves)))
         shares.append(_Share(batch, rows, own, float(np.sum(batch.sizes[rows])), key))
     return shares
-
-
-def _kind(leaf: Any) -> Any:
-    """What a program is compiled for: the form of an array, and the value of anything else."""
-    return (leaf.shape, str(leaf.dtype)) if hasattr(leaf, "dtype") else leaf
 
 
 def _whole(shares: Sequence[_Share], parts: Sequence[Any]) -> Any:

@@ -93,7 +93,11 @@ def remove_former_pictures(contents: Mapping[Path, bytes]) -> None:
     for path, data in contents.items():
         if isinstance(data, Picture):
             for each in set(FORMATS[1:]) - set(data.others):
-                former = path.with_suffix(f".{each}")
-                with contextlib.suppress(OSError):
-                    if SIGNATURE.encode() in former.read_bytes():
-                        former.unlink()
+                remove_own(path.with_suffix(f".{each}"))
+
+
+def remove_own(path: Path, first: int | None = None) -> None:
+    """Remove a file, if it carries the signature, which may have to be in its first bytes."""
+    with contextlib.suppress(OSError):
+        if SIGNATURE.encode() in path.read_bytes()[:first]:
+            path.unlink()

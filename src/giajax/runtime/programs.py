@@ -331,8 +331,9 @@ class CachedProgram:
 
     def __init__(self, function: Call, options: dict[str, Any]) -> None:
         self._function, self._options = function, options
+        self._signature = inspect.signature(function)
         self._calls: dict[str, Call | None] = {}
-        self._alike: dict[Any, Call | None] = {}
+        self._alike: dict[Any, Call] = {}
         _in_use.add(self)
 
     def forget(self) -> None:
@@ -340,12 +341,18 @@ class CachedProgram:
         self._calls.clear()
         self._alike.clear()
 
+    def given(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Given:
+        """The arguments in one form: however one is given, it is the same program."""
+        bound = self._signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        return bound.args, bound.kwargs
+
     def ready(self, args: Given) -> Call | None:
         """What computes the function for arguments like these; None if it cannot be kept."""
         leaves, tree = jax.tree.flatten(args)
         try:
             # By equality of what is static, as JAX itself: ten times as fast as by the text.
-            alike = tree, tuple(map(_kind, leaves))
+            alike = tree, tuple(map(leaf_kind, leaves))
             return self._alike[alike]
         except KeyError:
             found = self._by_text(args)
@@ -378,21 +385,27 @@ class CachedProgram:
         assert _folder is not None
         path = _folder / self._name(key)
         leaves = _arrays(args)
+        traced: export.Exported | None = None
         try:
             text, module = read(path).split(b"\n", 1)
             result = restored(json.loads(text))
         except (OSError, ValueError, TypeError):
             # Not there, not as it was written, or of classes that this process does not know.
             _log.debug("%s is traced", self._function)
-            result, module = self._traced(args, leaves)
+            result, traced = self._traced(args, leaves)
+            module = traced.mlir_module_serialized
+        places, static = eqx.partition(result, _is_shaped)
+        shapes, tree = jax.tree.flatten(places)
+        blank = _blank(shapes, leaves)
+        if traced is not None:
+            if _calling(traced) != _calling(blank):
+                raise ValueError("the function has side effects besides returning arrays")
             # Where somebody edits meanwhile, nobody knows which source was traced.
             with contextlib.suppress(NoStructureError):
                 text = json.dumps(described(result)).encode()
                 if sources() == origin():
                     write(path, text + b"\n" + module)
-        places, static = eqx.partition(result, _is_shaped)
-        shapes, tree = jax.tree.flatten(places)
-        known = dataclasses.replace(_blank(shapes, leaves), mlir_module_serialized=module)
+        known = dataclasses.replace(blank, mlir_module_serialized=module)
         # The same text in every process: the compilation cache knows it.
         compiled = jax.jit(known.call, **self._options).lower(*leaves).compile()
 
@@ -402,8 +415,8 @@ class CachedProgram:
 
         return call
 
-    def _traced(self, args: Given, leaves: Sequence[Any]) -> tuple[Any, bytes]:
-        """What the function returns, with shapes for arrays, and its module."""
+    def _traced(self, args: Given, leaves: Sequence[Any]) -> tuple[Any, export.Exported]:
+        """What the function returns, with shapes for arrays, and its program."""
         dynamic, static = eqx.partition(args, eqx.is_array)
         tree = jax.tree.structure(dynamic)
         returned: list[Any] = []
@@ -420,11 +433,7 @@ class CachedProgram:
 
         checks = [export.DisabledSafetyCheck.custom_call(name) for name in _UNSTABLE]
         whole = export.export(jax.jit(flat, keep_unused=True), disabled_checks=checks)(*leaves)
-        result = returned[-1]
-        shapes = jax.tree.leaves(eqx.filter(result, _is_shaped))
-        if _calling(whole) != _calling(_blank(shapes, leaves)):
-            raise ValueError("the function has side effects besides returning arrays")
-        return result, whole.mlir_module_serialized
+        return returned[-1], whole
 
     def _name(self, key: str) -> str:
         """The name of the file."""
@@ -505,7 +514,7 @@ def _arrays(args: Given) -> list[Any]:
     return [leaf for leaf in jax.tree.leaves(args) if eqx.is_array(leaf)]
 
 
-def _kind(leaf: Any) -> Any:
+def leaf_kind(leaf: Any) -> Any:
     """What of a leaf decides how it is traced."""
     if eqx.is_array(leaf):
         return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
@@ -564,7 +573,6 @@ def program(function: Function) -> Function:
     part = eqx.filter_jit(function)
     whole: Callable[..., Any] | None = None
     known: CachedProgram | None = None
-    signature = inspect.signature(function)
 
     making = threading.Lock()
 
@@ -574,10 +582,7 @@ def program(function: Function) -> Function:
             return None
         with making:
             known = known or CachedProgram(function, _options())
-        # However an argument is given, it is the same program.
-        bound = signature.bind(*args, **kwargs)
-        bound.apply_defaults()
-        given = bound.args, bound.kwargs
+        given = known.given(args, kwargs)
         found = known.ready(given)
         return None if found is None else functools.partial(found, given)
 

@@ -368,7 +368,8 @@ BAD = {
     ),
     "denser than its film": (
         {"film__thickness": 1e-3},
-        "a layer of the roll is only 1.19 mm thick, but two films are 2 mm: give a larger roll",
+        "a layer of the roll is only 1.19 mm thick, but two films are 2 mm: "
+        "give a larger roll.radius",
     ),
     "paid out": (
         {"roll__start": 20.0},
@@ -381,11 +382,13 @@ BAD = {
     "density": ({"gas__density": -1.0}, "gas.density = -1 kg/m.3 is outside its bounds: choose"),
     "no flow": (
         {"order": "by gas", "supply__flow": 0.0},
-        "the arm is set to unroll by gas, but with supply.flow = 0 no gas flows: give a positive",
+        "the arm is set to unroll by gas, but with supply.flow = 0 no gas flows: "
+        "give a positive number, or",
     ),
     "no pressure": (
         {"order": "by gas", "kind": "regulator", "supply__pressure": 0.0},
-        "the arm is set to unroll by gas, but with supply.pressure = 0 no gas flows",
+        "the arm is set to unroll by gas, but with supply.pressure = 0 no gas flows: "
+        "give a positive number",
     ),
 }
 
