@@ -200,7 +200,7 @@ CHANGES = {
 def test_another_configuration_is_refused(run, whole, change):
     arguments = {"start": START, **CHANGES[change]}
     other = set_up(model_for([run]), [run], **arguments).config
-    words = {"definition": "model's constants"}
+    words = {"definition": "constants of the model"}
     with pytest.raises(InputError, match=rf"another configuration.*{words.get(change, change)}"):
         check_folder(whole[0], [run], other)
     check_folder(whole[0], [run], other, force=True)

@@ -97,7 +97,7 @@ def test_numbers_do_not_depend_on_parts_and_go_on_in_a_folder(
     fails.__module__, fails.__qualname__ = _bootstrap.__name__, "replicates"
     monkeypatch.setattr(_bootstrap, "replicates", fails)
     assert giajax.bootstrap(result, runs, **options) == few
-    with pytest.raises(InputError, match=r"could be done: RuntimeError .*: nothing is done twice"):
+    with pytest.raises(InputError, match=r"were completed: RuntimeError .*: nothing is done twice"):
         giajax.bootstrap(result, runs, **{**options, "seed": 4})
     assert giajax.bootstrap(result, runs, **{**options, "size": 6}).failures
 
@@ -116,7 +116,7 @@ def test_blocks_and_whole_fits_spread_as_much(result, runs):
 
 def test_it_is_json(found):
     assert Bootstrap.of_json(found.to_json()) == found
-    with pytest.raises(InputError, match=r"not a bootstrap\.json file of this version"):
+    with pytest.raises(InputError, match=r"not a valid bootstrap\.json file of this version"):
         Bootstrap.of_json("{}")
 
 

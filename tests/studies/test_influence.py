@@ -97,7 +97,7 @@ def test_what_contradicts_the_others_is_told(runs, monkeypatch):
 
 def test_it_is_json_and_goes_on(fitted, drifting, found, tmp_path):
     assert Influence.of_json(found.to_json()) == found
-    with pytest.raises(InputError, match=r"no influence\.json of this version"):
+    with pytest.raises(InputError, match=r"not a valid influence\.json file of this version"):
         Influence.of_json("[]")
     done = []
     options = {"spans": 1, "folder": tmp_path}

@@ -170,7 +170,7 @@ def test_the_command_line(task, capsys):
     # Another hold-out is another fit, which does not write over it.
     assert main([*command, "--out", "out"]) == 2
     said = capsys.readouterr().err
-    assert "holds the result of other data" in said
+    assert "contains the result of other data" in said
     assert main([*command, *held[:2], *held[4:], "--no-figures"]) == 2
     assert "the held-out data" in capsys.readouterr().err
     assert (

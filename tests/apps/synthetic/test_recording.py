@@ -114,7 +114,7 @@ def test_a_run_without_times_has_white_noise_only():
     noisy = with_errors(still, RecordingErrors(white={"force": 0.1}))
     assert 0 < np.abs(noisy.values["force"] - still.values["force"]).max() < 1
     assert list(noisy.values["side"]) == ["inner"] * 3
-    with pytest.raises(InputError, match="has no sample times"):
+    with pytest.raises(InputError, match="has no times"):
         with_errors(still, RecordingErrors(bursts=0.1))
 
 

@@ -275,7 +275,7 @@ def test_an_impossible_geometry_is_refused_with_a_sentence(changed, sentence):
         ({"angle": np.nan}, "not finite"),
         ({"angle": 0.1, "torque": np.inf}, "not finite"),
         ({"angle": 0.1, "side": "left"}, "use 'inner' or 'outer'"),
-        ({"angle": 0.1, "side": "outer"}, "not the outer one"),
+        ({"angle": 0.1, "side": "outer"}, "not on the outer side"),
         ({"angle": [0.1, 0.2], "torque": [0.3, 0.3, 0.3]}, "one torque, or one for each"),
     ],
 )
