@@ -250,7 +250,8 @@ def test_one_declaration_converts_between_file_and_model():
     assert list(back) == ["sail_area_m2", "sail_pitch_deg", "slack_mm", "mast_m"]
     assert back.pop("sail_area_m2") == 2.0
     assert {name: pytest.approx(value) for name, value in back.items()} == stated
-    assert declared(boat)["sail.slack"].declaration.meaning == "slack (one number, or one for each link)"
+    slack = declared(boat)["sail.slack"].declaration
+    assert slack.meaning == "slack (one number, or one for each link)"
     assert left_out(Boat())["sail.pitch"].declaration is SAIL.pitch
 
 
